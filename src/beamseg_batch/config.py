@@ -1,0 +1,461 @@
+"""The configuration tree: one frozen pydantic model, YAML in and out.
+
+A profile (`configs/NAME.yaml`) is the base; a user's file overlays the profile it
+names, the command line overlays both. Every value has a unit, a range and a meaning
+here, and `beamseg config schema` prints them.
+"""
+
+from __future__ import annotations
+
+import difflib
+import io
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from beamseg_batch.errors import ConfigError
+
+__all__ = [
+    "DEFAULT_PROFILE",
+    "DetectionConfig",
+    "ExtrinsicConfig",
+    "FilteringConfig",
+    "HoughConfig",
+    "IntersectionConfig",
+    "MatchingConfig",
+    "OutputConfig",
+    "RecordingConfig",
+    "RunConfig",
+    "ScreeningConfig",
+    "SensorConfig",
+    "StructureConfig",
+    "ThresholdConfig",
+    "WindowConfig",
+    "config_yaml",
+    "load_config",
+    "profile_names",
+]
+
+DEFAULT_PROFILE = "precise"
+
+Positive: TypeAlias = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative: TypeAlias = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite: TypeAlias = Annotated[float, Field(allow_inf_nan=False)]
+Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
+Vector3: TypeAlias = tuple[Finite, Finite, Finite]
+Interval: TypeAlias = tuple[Finite, Finite]
+
+
+class _Node(BaseModel):
+    """A branch of the tree: frozen, and closed to keys it does not know."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+
+class RecordingConfig(_Node):
+    """Which topics and frames of the recording are used."""
+
+    cloud_topic: str | None = None
+    """Topic of the clouds; null takes /tof_pc, else the only candidate."""
+    pose_topic: str | None = None
+    """Topic of the drone poses; null takes /mavros/local_position/pose, else the only candidate."""
+    world_frame: str | None = None
+    """Name of the fixed frame; null takes the pose's header frame or the tf tree's root."""
+    body_frame: str | None = None
+    """Name of the drone's frame; null takes the pose's child frame or the sensor's root in tf."""
+    time_offset_s: Finite = 0.0
+    """Seconds added to the stamps of the clouds before matching."""
+
+
+class MatchingConfig(_Node):
+    """How a scan gets its pose (report, sections 3.2.1 and 6.2)."""
+
+    method: Literal["nearest", "interpolate"] = "interpolate"
+    """nearest: the pose message nearest in time as it is; interpolate: between its neighbours."""
+    max_gap_s: NonNegative = 0.05
+    """Largest time from a cloud to its nearest pose message, seconds."""
+
+
+class ExtrinsicConfig(_Node):
+    """``T_body_sensor``: where the camera sits on the drone."""
+
+    translation: Vector3 = (0.0, 0.0, 0.0)
+    """Camera centre in the body frame, metres."""
+    rotation_rpy_deg: Vector3 = (0.0, 0.0, 0.0)
+    """Roll, pitch and yaw of the sensor's axes about the fixed body axes, degrees."""
+
+
+class SensorConfig(_Node):
+    """The camera."""
+
+    extrinsic: ExtrinsicConfig | None = None
+    """Camera pose on the drone; null takes it from tf when allowed, else identity."""
+    extrinsic_from_tf: bool = True
+    """Whether /tf_static may give the extrinsic."""
+
+
+class WindowConfig(_Node):
+    """Pass-through window in the sensor's axes, x forward (report, section 3.2.2)."""
+
+    x: Interval = (0.0, 1.5)
+    """Metres."""
+    y: Interval = (-1.5, 1.5)
+    """Metres."""
+    z: Interval = (-1.5, 1.5)
+    """Metres."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> WindowConfig:
+        for axis in ("x", "y", "z"):
+            low, high = getattr(self, axis)
+            if not low < high:
+                raise ValueError(f"{axis}: the lower bound {low:g} must be below {high:g}")
+        return self
+
+
+class FilteringConfig(_Node):
+    """Pre-processing of a cloud (report, section 3.2.2)."""
+
+    window: WindowConfig = WindowConfig()
+    floor_trim_height: Finite = 0.3
+    """Height in the world frame below which nothing is a beam, metres."""
+    floor_trim: Literal["points", "segment", "none"] = "points"
+    """points: drop points below the height before the search (section 4.1);
+    segment: drop segments with an end below it (section 3.2.5); none: keep all."""
+    radii: Annotated[tuple[Positive, ...], Field(min_length=1)] = (0.05,)
+    """Radii of the beams to look for, metres; searched from the largest to the smallest."""
+    rad_2_leaf_ratio: Positive = 1.5
+    """Radius divided by the leaf size of the voxel grid."""
+
+    def leaf_size(self, radius: float) -> float:
+        """Edge of a voxel for beams of a radius, metres (report, section 3.2.2)."""
+        return radius / self.rad_2_leaf_ratio
+
+    def diag_voxel(self, radius: float) -> float:
+        """Diagonal of that voxel, metres (report, section 3.2.4)."""
+        return math.sqrt(3.0) * self.leaf_size(radius)
+
+
+class HoughConfig(_Node):
+    """The iterative Hough transform (report, section 3.2.3)."""
+
+    granularity: Annotated[int, Field(ge=0, le=6)] = 4
+    """Subdivisions of the icosahedron that gives the directions: 4 has 1281, 6 has 20481."""
+    dx: Positive | None = None
+    """Cell width of the voting plane and reach of a line, metres; null is sqrt(3) * leaf size."""
+    minvotes: Annotated[int, Field(ge=2)] = 12
+    """Fewest points of a line; the search ends at the first line with fewer."""
+    nlines: Annotated[int, Field(ge=0)] = 10
+    """Most segments kept of one scan; 0 for no limit. Refused lines do not count."""
+
+
+class ScreeningConfig(_Node):
+    """Which lines are segments (report, section 3.2.4)."""
+
+    min_pca_coeff: Share = 0.99
+    """Smallest share of a segment's variance that must lie along its axis."""
+    gap: Literal["longest_run", "reject"] = "longest_run"
+    """longest_run: cut a line at its gaps and keep the longest run;
+    reject: refuse a line that has a gap, as the report is written."""
+    max_gap_factor: Positive = 2.0
+    """Largest gap between neighbours along the axis, in voxel diagonals."""
+    radius_tolerance_factor: Positive = 1.0
+    """Largest difference between measured and expected radius, in voxel diagonals."""
+    min_points_factor: NonNegative = 1.0
+    """Factor on the report's smallest number of points."""
+
+
+class DetectionConfig(_Node):
+    """From a scan to its segments."""
+
+    hough: HoughConfig = HoughConfig()
+    screening: ScreeningConfig = ScreeningConfig()
+
+
+class ThresholdConfig(_Node):
+    """Thresholds of the similarity solutions (report, section 3.2.6)."""
+
+    T_a: Positive = 0.1
+    """Solution 1: largest distance between anchors, metres."""
+    T_b: Positive = 0.1
+    """Solution 1: largest distance between the tips of the unit directions."""
+    T_p: Positive = 0.2
+    """Solutions 1 and 2: largest distance between midpoints, metres."""
+    T_d: Share = 0.99
+    """Solution 2: smallest cosine between directions."""
+    epsilon: Positive | None = None
+    """Solution 3: largest distance of an end from the other axis, metres;
+    null is 2 * diag_voxel + r1 + r2."""
+
+
+class IntersectionConfig(_Node):
+    """When two segments touch (report, section 3.2.7)."""
+
+    epsilon: Positive | None = None
+    """Largest distance between the axes, metres; null is r1 + r2."""
+    parallel_norm: Positive = 1e-3
+    """Segments whose directions have a smaller cross product are parallel."""
+    end_slack: NonNegative = 0.0
+    """How far beyond an end a crossing still counts, metres."""
+
+
+class StructureConfig(_Node):
+    """From segments to the structure of the flight."""
+
+    similarity: Literal["parameters", "midpoint", "projection"] = "projection"
+    """When two segments are the same beam: solution 1, 2 or 3 of the report's section 3.2.6."""
+    fusion: Literal["mean", "weighted"] = "weighted"
+    """How they become one: solution 1 or 2."""
+    min_weight: Share = 0.01
+    """w_min: smallest weight of the new segment in a weighted fusion."""
+    thresholds: ThresholdConfig = ThresholdConfig()
+    min_scans: Annotated[int, Field(ge=1)] = 1
+    """Segments seen in fewer scans are left out of the result."""
+    min_length: NonNegative = 0.0
+    """Shorter segments are left out of the result, metres."""
+    intersections: IntersectionConfig = IntersectionConfig()
+
+
+class OutputConfig(_Node):
+    """What is written, and where."""
+
+    path: str | None = None
+    """Output folder; null is a folder named after the flight."""
+    verbosity: Annotated[int, Field(ge=0, le=2)] = 1
+    """0 errors only, 1 progress and information, 2 details of every scan."""
+    report: bool = True
+    """Whether report.html is written."""
+    cloud_points: Annotated[int, Field(ge=0)] = 200_000
+    """Most points of the thinned cloud of the flight."""
+
+
+class RunConfig(_Node):
+    """The whole configuration of a run."""
+
+    profile: str = DEFAULT_PROFILE
+    """The base that a file overlays."""
+    recording: RecordingConfig = RecordingConfig()
+    matching: MatchingConfig = MatchingConfig()
+    sensor: SensorConfig = SensorConfig()
+    filtering: FilteringConfig = FilteringConfig()
+    detection: DetectionConfig = DetectionConfig()
+    structure: StructureConfig = StructureConfig()
+    outputs: OutputConfig = OutputConfig()
+
+
+ALIASES: Mapping[str, str] = {
+    "radius_sizes": "filtering.radii",
+    "radius_size": "filtering.radii",
+    "floor_trim_height": "filtering.floor_trim_height",
+    "rad_2_leaf_ratio": "filtering.rad_2_leaf_ratio",
+    "min_pca_coeff": "detection.screening.min_pca_coeff",
+    "min_pca_coef": "detection.screening.min_pca_coeff",
+    "opt_minvotes": "detection.hough.minvotes",
+    "opt_nlines": "detection.hough.nlines",
+    "opt_dx": "detection.hough.dx",
+    "granularity": "detection.hough.granularity",
+    "min_weight": "structure.min_weight",
+    "path_to_output": "outputs.path",
+    "verbose_level": "outputs.verbosity",
+    "vebose_level": "outputs.verbosity",
+}
+"""Keys of the original node's configuration file, and where they live here."""
+
+
+def config_folder() -> Path:
+    """Folder of the shipped configuration files.
+
+    Returns
+    -------
+    Path
+        Inside the installed package; in an editable install, ``configs/`` of the checkout.
+    """
+    package = Path(__file__).parent
+    installed = package / "configs"
+    return installed if installed.is_dir() else package.parents[1] / "configs"
+
+
+def profile_names() -> tuple[str, ...]:
+    """Names of the shipped profiles, sorted."""
+    return tuple(sorted(path.stem for path in config_folder().glob("*.yaml")))
+
+
+def load_config(
+    profile: str | None = None,
+    file: Path | None = None,
+    overrides: Sequence[str] = (),
+) -> RunConfig:
+    """Load a configuration: profile, then file, then single values.
+
+    Parameters
+    ----------
+    profile : str, optional
+        Name of a shipped profile. Without it the file's own, or ``report`` when the
+        file is one of the original node, or ``precise``.
+    file : Path, optional
+        YAML file that overlays the profile.
+    overrides : sequence of str
+        ``key.path=value`` settings, the value in YAML.
+
+    Returns
+    -------
+    RunConfig
+
+    Raises
+    ------
+    ConfigError
+        If a file is missing or not YAML, a profile or key unknown, or a value out of range.
+    """
+    overlay = _read_yaml(file) if file else {}
+    where = str(file) if file else "configuration"
+    original = _is_original(overlay)
+    overlay = _resolve_aliases(overlay, where)
+    named = overlay.get("profile")
+    if named is not None and not isinstance(named, str):
+        raise ConfigError(f"{where}: profile must be a name, not {named!r}")
+    name = profile or named or ("report" if original else DEFAULT_PROFILE)
+    tree = _merged(_read_profile(name), overlay)
+    for override in overrides:
+        tree = _merged(tree, _parse_override(override))
+    tree["profile"] = name
+    return _validated(tree, where)
+
+
+def config_yaml(config: RunConfig) -> str:
+    """Write a configuration as YAML that `load_config` reads back to the same tree."""
+    from ruamel.yaml import YAML
+
+    buffer = io.StringIO()
+    writer = YAML(typ="safe", pure=True)
+    writer.default_flow_style = None
+    writer.width = 100
+    writer.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+    writer.dump(config.model_dump(mode="json"), buffer)
+    return buffer.getvalue()
+
+
+def _read_profile(name: str) -> dict[str, Any]:
+    if name not in profile_names():
+        raise ConfigError(
+            f"unknown profile {name!r}{_nearest(name, profile_names())}; "
+            f"there are: {', '.join(profile_names())}"
+        )
+    return _read_yaml(config_folder() / f"{name}.yaml")
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    from ruamel.yaml import YAML, YAMLError
+
+    try:
+        content = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    except (YAMLError, UnicodeDecodeError) as error:
+        reason = " ".join(str(error).split())
+        raise ConfigError(f"{path}: is not valid YAML: {reason}") from error
+    if content is None:
+        return {}
+    if not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
+        raise ConfigError(f"{path}: must be a mapping of keys to values")
+    return content
+
+
+def _is_original(tree: Mapping[str, Any]) -> bool:
+    """Whether every key is one of the original node's flat keys."""
+    return bool(tree) and all(key in ALIASES for key in tree)
+
+
+def _resolve_aliases(tree: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Move the original node's flat keys to their places in the tree."""
+    resolved: dict[str, Any] = {key: value for key, value in tree.items() if key not in ALIASES}
+    for key, value in tree.items():
+        if key not in ALIASES:
+            continue
+        if ALIASES[key] == "filtering.radii" and not isinstance(value, list):
+            value = [value]
+        if ALIASES[key] == "detection.hough.dx" and value == 0:
+            value = None
+        try:
+            resolved = _merged(resolved, _nested(ALIASES[key], value))
+        except ConfigError as error:
+            raise ConfigError(f"{where}: {error}") from error
+    return resolved
+
+
+def _nested(path: str, value: Any) -> dict[str, Any]:
+    tree: Any = value
+    for key in reversed(path.split(".")):
+        tree = {key: tree}
+    assert isinstance(tree, dict)
+    return tree
+
+
+def _parse_override(text: str) -> dict[str, Any]:
+    from ruamel.yaml import YAML, YAMLError
+
+    path, equals, value = text.partition("=")
+    if not equals or not path.strip():
+        raise ConfigError(
+            f"{text!r} is not a setting; write key.path=value, "
+            "for example detection.hough.granularity=5"
+        )
+    try:
+        parsed = YAML(typ="safe", pure=True).load(value)
+    except YAMLError as error:
+        raise ConfigError(f"{text!r}: the value is not valid YAML") from error
+    key = path.strip()
+    return _resolve_aliases({key: parsed}, key) if key in ALIASES else _nested(key, parsed)
+
+
+def _merged(base: Mapping[str, Any], overlay: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in overlay.items():
+        if isinstance(value, Mapping) and isinstance(merged.get(key), Mapping):
+            merged[key] = _merged(merged[key], value)
+        else:
+            merged[key] = value
+    return merged
+
+
+def _validated(tree: Mapping[str, Any], where: str) -> RunConfig:
+    try:
+        return RunConfig.model_validate(tree)
+    except ValidationError as error:
+        problems = [_explain(problem) for problem in error.errors()]
+        raise ConfigError(f"{where}: " + "; ".join(problems)) from None
+
+
+def _explain(problem: Mapping[str, Any]) -> str:
+    """Say one pydantic problem in a sentence, with the way out."""
+    path = ".".join(str(part) for part in problem["loc"])
+    if problem["type"] == "extra_forbidden":
+        return f"unknown key {path!r}{_nearest(path, tuple(_key_paths(RunConfig)))}"
+    message = str(problem["msg"]).removeprefix("Value error, ")
+    value = problem.get("input")
+    shown = "" if isinstance(value, Mapping) else f" is {value!r}"
+    return f"{path}{shown}: {message[:1].lower()}{message[1:]}"
+
+
+def _key_paths(node: type[BaseModel], prefix: str = "") -> Iterator[str]:
+    """Paths of all values of the tree, branches left out."""
+    for name, entry in node.model_fields.items():
+        candidates = (entry.annotation, *getattr(entry.annotation, "__args__", ()))
+        branches = [c for c in candidates if isinstance(c, type) and issubclass(c, BaseModel)]
+        for branch in branches:
+            yield from _key_paths(branch, f"{prefix}{name}.")
+        if not branches:
+            yield prefix + name
+
+
+def _nearest(name: str, known: Sequence[str]) -> str:
+    """Suggest the known name that looks most like an unknown one."""
+    matches = difflib.get_close_matches(name, [*known, *ALIASES], n=1, cutoff=0.75)
+    if not matches:
+        leaf = name.rpartition(".")[2]
+        by_leaf = {path.rpartition(".")[2]: path for path in known}
+        close = difflib.get_close_matches(leaf, by_leaf, n=1, cutoff=0.7)
+        matches = [by_leaf[key] for key in close]
+    return f"; did you mean {matches[0]!r}?" if matches else ""

@@ -1,0 +1,71 @@
+"""The exceptions that `beamseg_batch` raises on purpose.
+
+Every one of them derives from `BeamsegError` and carries the exit code that the
+command line ends with: 2 for usage and configuration, 1 for data that cannot be
+processed. Messages say what, where, the value, the limit and the way out.
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "AmbiguousTopicError",
+    "BeamsegError",
+    "ConfigError",
+    "NoScansError",
+    "OutputError",
+    "RecordingError",
+    "RecordingNotFoundError",
+    "RunError",
+    "ShapeError",
+    "TopicError",
+]
+
+
+class BeamsegError(Exception):
+    """Root of the errors a user can cause and cure."""
+
+    exit_code = 1
+
+
+class ShapeError(BeamsegError, ValueError):
+    """An array has not the shape that the function documents."""
+
+
+class ConfigError(BeamsegError, ValueError):
+    """A configuration value, key or file is not valid."""
+
+    exit_code = 2
+
+
+class RecordingError(BeamsegError, OSError):
+    """A recording cannot be read."""
+
+
+class RecordingNotFoundError(RecordingError):
+    """The path of a recording does not exist."""
+
+    exit_code = 2
+
+
+class TopicError(RecordingError):
+    """A recording holds no topic of the kind that is needed."""
+
+
+class AmbiguousTopicError(TopicError):
+    """Several topics would fit and none was named."""
+
+    exit_code = 2
+
+
+class NoScansError(RecordingError):
+    """A recording was read, but no scan of it could be used."""
+
+
+class OutputError(BeamsegError, OSError):
+    """The output folder cannot be used or written."""
+
+    exit_code = 2
+
+
+class RunError(BeamsegError, ValueError):
+    """A finished run cannot be read back from its folder."""

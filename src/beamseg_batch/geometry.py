@@ -1,0 +1,316 @@
+"""Lines, segments and rigid transforms: pure functions on arrays.
+
+All arrays are float64 and metres unless said otherwise. A line is an anchor and a
+unit direction, so the parameter ``t`` along it is metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamseg_batch.errors import ShapeError
+
+__all__ = [
+    "FloatArray",
+    "RigidTransform",
+    "angle_between_deg",
+    "distances_to_line",
+    "interpolate_quaternion",
+    "line_parameters",
+    "matrix_from_quaternion",
+    "matrix_from_rpy",
+    "normalised",
+    "project_onto_line",
+]
+
+FloatArray = NDArray[np.float64]
+
+
+def _points_3d(points: FloatArray) -> FloatArray:
+    points = np.asarray(points, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ShapeError(f"points must have shape (N, 3), not {points.shape}")
+    return points
+
+
+def normalised(vector: FloatArray) -> FloatArray:
+    """Vector of length one in the direction of `vector`.
+
+    Parameters
+    ----------
+    vector : (3,) float64
+
+    Returns
+    -------
+    (3,) float64
+
+    Raises
+    ------
+    ShapeError
+        If the vector has no length, hence no direction.
+    """
+    length = float(np.linalg.norm(vector))
+    if not length > 0.0:
+        raise ShapeError("a vector of length zero has no direction")
+    return np.asarray(vector, dtype=np.float64) / length
+
+
+def line_parameters(points: FloatArray, anchor: FloatArray, direction: FloatArray) -> FloatArray:
+    """Parameter ``t`` of the foot of each point on a line.
+
+    Parameters
+    ----------
+    points : (N, 3) float64, metres
+    anchor : (3,) float64, metres
+    direction : (3,) float64, unit vector
+
+    Returns
+    -------
+    (N,) float64, metres
+
+    Raises
+    ------
+    ShapeError
+        If `points` is not (N, 3).
+    """
+    return (_points_3d(points) - anchor) @ direction
+
+
+def project_onto_line(points: FloatArray, anchor: FloatArray, direction: FloatArray) -> FloatArray:
+    """Foot of each point on a line.
+
+    Parameters
+    ----------
+    points : (N, 3) float64, metres
+    anchor : (3,) float64, metres
+    direction : (3,) float64, unit vector
+
+    Returns
+    -------
+    (N, 3) float64, metres
+
+    Raises
+    ------
+    ShapeError
+        If `points` is not (N, 3).
+
+    Notes
+    -----
+    The operation ``proj_seg(v)`` of the report, section 3.2.6.
+    """
+    return np.outer(line_parameters(points, anchor, direction), direction) + anchor
+
+
+def distances_to_line(points: FloatArray, anchor: FloatArray, direction: FloatArray) -> FloatArray:
+    """Distance of each point to a line.
+
+    Parameters
+    ----------
+    points : (N, 3) float64, metres
+    anchor : (3,) float64, metres
+    direction : (3,) float64, unit vector
+
+    Returns
+    -------
+    (N,) float64, metres
+
+    Raises
+    ------
+    ShapeError
+        If `points` is not (N, 3).
+
+    Notes
+    -----
+    Dalitz et al., IPOL 2017, equation (7).
+    """
+    points = _points_3d(points)
+    distances: FloatArray = np.linalg.norm(
+        points - project_onto_line(points, anchor, direction), axis=1
+    )
+    return distances
+
+
+def angle_between_deg(direction_1: FloatArray, direction_2: FloatArray) -> float:
+    """Angle between two undirected lines.
+
+    Parameters
+    ----------
+    direction_1, direction_2 : (3,) float64, unit vectors
+
+    Returns
+    -------
+    float, degrees, 0 to 90
+    """
+    sine = float(np.linalg.norm(np.cross(direction_1, direction_2)))
+    cosine = abs(float(np.dot(direction_1, direction_2)))
+    return float(np.degrees(np.arctan2(sine, cosine)))
+
+
+def matrix_from_quaternion(quaternion_xyzw: FloatArray) -> FloatArray:
+    """Rotation matrix of a unit quaternion.
+
+    Parameters
+    ----------
+    quaternion_xyzw : (4,) float64
+        Components x, y, z, w. Normalised here.
+
+    Returns
+    -------
+    (3, 3) float64
+
+    Raises
+    ------
+    ShapeError
+        If the quaternion has length zero.
+
+    Notes
+    -----
+    The matrix R of the report, section 3.2.5.
+    """
+    x, y, z, w = normalised(quaternion_xyzw)
+    return np.array(
+        [
+            [1 - 2 * y * y - 2 * z * z, 2 * x * y - 2 * z * w, 2 * x * z + 2 * y * w],
+            [2 * x * y + 2 * z * w, 1 - 2 * x * x - 2 * z * z, 2 * y * z - 2 * x * w],
+            [2 * x * z - 2 * y * w, 2 * y * z + 2 * x * w, 1 - 2 * x * x - 2 * y * y],
+        ]
+    )
+
+
+def matrix_from_rpy(roll: float, pitch: float, yaw: float) -> FloatArray:
+    """Rotation matrix of roll, pitch and yaw about the fixed x, y and z axes.
+
+    Parameters
+    ----------
+    roll, pitch, yaw : float, radians
+
+    Returns
+    -------
+    (3, 3) float64
+        ``Rz(yaw) @ Ry(pitch) @ Rx(roll)``, the convention of ROS (REP 103).
+    """
+    (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def interpolate_quaternion(
+    first_xyzw: FloatArray, second_xyzw: FloatArray, share: float
+) -> FloatArray:
+    """Rotation between two rotations, along the shorter arc.
+
+    Parameters
+    ----------
+    first_xyzw, second_xyzw : (4,) float64, unit quaternions
+    share : float
+        0 gives the first, 1 the second.
+
+    Returns
+    -------
+    (4,) float64, unit quaternion
+
+    Notes
+    -----
+    Spherical linear interpolation (Shoemake 1985). Below 1e-3 rad the chord replaces
+    the arc, which differs by less than rounding there and has no division by zero.
+    """
+    cosine = float(np.dot(first_xyzw, second_xyzw))
+    if cosine < 0.0:
+        second_xyzw, cosine = -second_xyzw, -cosine
+    angle = float(np.arccos(min(cosine, 1.0)))
+    if angle < 1e-3:
+        return normalised((1.0 - share) * first_xyzw + share * second_xyzw)
+    weights = np.sin([(1.0 - share) * angle, share * angle]) / np.sin(angle)
+    return normalised(weights[0] * first_xyzw + weights[1] * second_xyzw)
+
+
+@dataclass(frozen=True, eq=False)
+class RigidTransform:
+    """A rotation followed by a translation, named ``T_target_source``.
+
+    Attributes
+    ----------
+    rotation : (3, 3) float64
+    translation : (3,) float64, metres, target frame
+    """
+
+    rotation: FloatArray
+    translation: FloatArray
+
+    @classmethod
+    def identity(cls) -> RigidTransform:
+        """Return the transform that moves nothing."""
+        return cls(np.eye(3), np.zeros(3))
+
+    @classmethod
+    def from_quaternion(cls, position: FloatArray, quaternion_xyzw: FloatArray) -> RigidTransform:
+        """Build the transform of a pose message.
+
+        Parameters
+        ----------
+        position : (3,) float64, metres
+        quaternion_xyzw : (4,) float64
+            Need not be normalised.
+
+        Returns
+        -------
+        RigidTransform
+
+        Raises
+        ------
+        ShapeError
+            If the quaternion has length zero.
+        """
+        return cls(matrix_from_quaternion(quaternion_xyzw), np.asarray(position, dtype=np.float64))
+
+    def __matmul__(self, other: RigidTransform) -> RigidTransform:
+        """Chain two transforms: ``T_a_c = T_a_b @ T_b_c``."""
+        return RigidTransform(self.rotation @ other.rotation, self.apply(other.translation))
+
+    def inverse(self) -> RigidTransform:
+        """Return the transform from target to source."""
+        return RigidTransform(self.rotation.T, -self.rotation.T @ self.translation)
+
+    def apply(self, points: FloatArray) -> FloatArray:
+        """Move points from the source frame to the target frame.
+
+        Parameters
+        ----------
+        points : (3,) or (N, 3) float64, metres, source frame
+
+        Returns
+        -------
+        the same shape, metres, target frame
+
+        Notes
+        -----
+        ``a_world = R a_drone + P_world``, the report, section 3.2.5.
+        """
+        moved: FloatArray = points @ self.rotation.T + self.translation
+        return moved
+
+    def rotate(self, vectors: FloatArray) -> FloatArray:
+        """Turn directions from the source frame to the target frame.
+
+        Parameters
+        ----------
+        vectors : (3,) or (N, 3) float64, source frame
+
+        Returns
+        -------
+        the same shape, target frame
+
+        Notes
+        -----
+        ``b_world = R b_drone``, the report, section 3.2.5.
+        """
+        turned: FloatArray = vectors @ self.rotation.T
+        return turned

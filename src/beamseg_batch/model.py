@@ -1,0 +1,358 @@
+"""What flows between the stages: scans, segments, intersections and a flight's result.
+
+All are frozen: a stage returns new objects and never changes what it was given.
+Positions are metres, stamps integer nanoseconds, directions unit vectors.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamseg_batch.config import RunConfig
+from beamseg_batch.geometry import FloatArray, RigidTransform
+
+__all__ = [
+    "STAGES",
+    "Detections",
+    "FlightResult",
+    "Intersection",
+    "RecordingInfo",
+    "Scan",
+    "ScanRecord",
+    "Segment",
+    "SkippedScan",
+    "Trajectory",
+]
+
+STAGES = ("read", "filter", "search", "screen", "fuse", "intersect")
+"""Names of the timed stages of a scan, in the order in which they run."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Body poses in the world frame, in order of their stamps.
+
+    Attributes
+    ----------
+    stamps_ns : (N,) int64
+        Strictly increasing.
+    positions : (N, 3) float64, metres, world frame
+    quaternions_xyzw : (N, 4) float64, unit quaternions, ``T_world_body``
+    """
+
+    stamps_ns: NDArray[np.int64]
+    positions: FloatArray
+    quaternions_xyzw: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """One ToF cloud, its stamp, and the pose matched to it.
+
+    Attributes
+    ----------
+    index : int
+        Position of the cloud among all clouds of the recording, from 0.
+    stamp_ns : int
+        Stamp of the cloud.
+    pose_stamp_ns : int
+        Stamp of the pose message that lies nearest in time.
+    T_world_body, T_body_sensor : RigidTransform
+        The matched pose, and where the camera sits on the drone.
+    points : (N, 3) float32 or float64, metres, sensor frame
+        All pixels in message order; a pixel without return is NaN or infinite.
+    width, height : int
+        Pixels; ``height`` is 1 for a cloud that is not organised.
+    read_us : float
+        Microseconds spent on reading and decoding this scan.
+    """
+
+    index: int
+    stamp_ns: int
+    pose_stamp_ns: int
+    T_world_body: RigidTransform
+    T_body_sensor: RigidTransform
+    points: NDArray[np.floating]
+    width: int
+    height: int
+    read_us: float = 0.0
+
+    @property
+    def pose_gap_s(self) -> float:
+        """Time from the nearest pose message to the cloud, in seconds, never negative."""
+        return abs(self.stamp_ns - self.pose_stamp_ns) * 1e-9
+
+    @property
+    def T_world_sensor(self) -> RigidTransform:
+        """Transform from the sensor frame to the world frame."""
+        return self.T_world_body @ self.T_body_sensor
+
+
+@dataclass(frozen=True)
+class SkippedScan:
+    """A cloud that could not be used, with the reason it is counted under.
+
+    Attributes
+    ----------
+    index : int
+        Position of the cloud among all clouds of the recording, from 0.
+    stamp_ns : int
+    reason : str
+        A short, stable name, such as ``no_pose_within_gap``.
+    detail : str
+        A sentence with the values, for people.
+    """
+
+    index: int
+    stamp_ns: int
+    reason: str
+    detail: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """A beam as the report models it (section 3.1).
+
+    Attributes
+    ----------
+    anchor : (3,) float64, metres
+        A point of the axis, ``a`` in the report.
+    direction : (3,) float64, unit vector
+        ``b`` in the report.
+    t_min, t_max : float, metres
+        The ends are ``anchor + t * direction``.
+    radius : float, metres
+    n_points : int
+        Points that support the segment, over all scans.
+    pca_coeff : float
+        Largest share of the points' variance along one axis, 0 to 1.
+    pca_eig : (3,) float64, square metres
+        Eigenvalues of the points' covariance, largest first.
+    points : (N, 3) float64, metres
+        The points it was found from, in the same frame; empty once fused.
+    n_scans : int
+        Scans in which the segment was seen.
+    first_seen_ns, last_seen_ns : int
+        Stamps of the first and the last of them.
+    """
+
+    anchor: FloatArray
+    direction: FloatArray
+    t_min: float
+    t_max: float
+    radius: float
+    n_points: int
+    pca_coeff: float
+    pca_eig: FloatArray
+    points: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    n_scans: int = 1
+    first_seen_ns: int = 0
+    last_seen_ns: int = 0
+
+    @property
+    def end_1(self) -> FloatArray:
+        """(3,) float64, metres: the end at `t_min`."""
+        return self.anchor + self.t_min * self.direction
+
+    @property
+    def end_2(self) -> FloatArray:
+        """(3,) float64, metres: the end at `t_max`."""
+        return self.anchor + self.t_max * self.direction
+
+    @property
+    def midpoint(self) -> FloatArray:
+        """(3,) float64, metres: halfway between the ends."""
+        return self.anchor + 0.5 * (self.t_min + self.t_max) * self.direction
+
+    @property
+    def length(self) -> float:
+        """Distance between the ends, in metres."""
+        return self.t_max - self.t_min
+
+
+@dataclass(frozen=True, eq=False)
+class Intersection:
+    """Two segments that touch (report, section 3.2.7).
+
+    Attributes
+    ----------
+    segment_1, segment_2 : int
+        Indices into the structure's segments, the smaller first.
+    t_1, t_2 : float, metres
+        Where on each axis, in the parameter of that segment as it now is.
+    position : (3,) float64, metres, world frame
+        Halfway between the two axes.
+    distance : float, metres
+        Between the two axes.
+    angle_deg : float, degrees, 0 to 90
+    """
+
+    segment_1: int
+    segment_2: int
+    t_1: float
+    t_2: float
+    position: FloatArray
+    distance: float
+    angle_deg: float
+
+
+@dataclass(frozen=True, eq=False)
+class Detections:
+    """What one scan gave.
+
+    Attributes
+    ----------
+    scan : Scan
+        The scan, without a promise that its points are kept.
+    segments : tuple of Segment
+        World frame, in order of detection.
+    n_points_raw : int
+        Returns of the cloud, before any filter.
+    n_points_window : int
+        Those of them inside the pass-through window.
+    n_points_filtered : int
+        Points given to the search, after floor trim and voxel grid.
+    n_lines : int
+        Lines that the search emitted, before screening.
+    rejections : mapping of str to int
+        Lines that screening refused, by criterion.
+    cloud : (N, 3) float32, metres, world frame
+        The filtered points.
+    stage_us : mapping of str to float
+        Microseconds by stage, keys out of `STAGES`.
+    """
+
+    scan: Scan
+    segments: tuple[Segment, ...]
+    n_points_raw: int
+    n_points_window: int
+    n_points_filtered: int
+    n_lines: int
+    rejections: Mapping[str, int]
+    cloud: NDArray[np.float32]
+    stage_us: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class ScanRecord:
+    """One row of `processing_time.csv`.
+
+    Attributes
+    ----------
+    stamp_ns, pose_stamp_ns : int
+    pose_gap_s : float, seconds
+    n_points_raw, n_points_filtered, n_lines : int
+    n_segments : int
+        Size of the structure after this scan.
+    wall_us : float
+        Microseconds from the start of processing to the end of this scan.
+    processing_us : float
+        Microseconds spent on this scan, reading included.
+    stage_us : mapping of str to float
+    """
+
+    stamp_ns: int
+    pose_stamp_ns: int
+    pose_gap_s: float
+    n_points_raw: int
+    n_points_filtered: int
+    n_lines: int
+    n_segments: int
+    wall_us: float
+    processing_us: float
+    stage_us: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class RecordingInfo:
+    """Which recording was read, and how its topics and frames were used.
+
+    Attributes
+    ----------
+    paths : tuple of Path
+    container : str
+        For people, such as ``ROS 2 MCAP``.
+    sha256 : str
+        Hash over the bytes of all files, in order.
+    size_bytes : int
+    start_ns, end_ns : int
+        Log times of the first and the last message.
+    cloud_topic, pose_topic : str
+    sensor_frame, body_frame, world_frame : str
+        Frame names as they stand in the recording; empty when it names none.
+    T_body_sensor : RigidTransform
+    extrinsic_source : str
+        ``configuration``, ``tf_static`` or ``identity``.
+    notes : tuple of str
+        Choices worth telling, such as a topic taken because it was the only one.
+    """
+
+    paths: tuple[Path, ...]
+    container: str
+    sha256: str
+    size_bytes: int
+    start_ns: int
+    end_ns: int
+    cloud_topic: str
+    pose_topic: str
+    sensor_frame: str
+    body_frame: str
+    world_frame: str
+    T_body_sensor: RigidTransform
+    extrinsic_source: str
+    notes: tuple[str, ...] = ()
+
+    @property
+    def duration_s(self) -> float:
+        """Log time from the first to the last message, in seconds."""
+        return (self.end_ns - self.start_ns) * 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class FlightResult:
+    """A flight turned into a structure.
+
+    Attributes
+    ----------
+    segments : tuple of Segment
+        World frame, in order of first detection.
+    intersections : tuple of Intersection
+    scans : tuple of ScanRecord
+        One per processed scan, in time order.
+    skipped : Counter of str
+        Clouds that were not processed, by reason.
+    rejections : Counter of str
+        Lines and segments that were refused, by criterion.
+    trajectory : Trajectory
+    cloud : (N, 3) float32, metres, world frame
+        A thinned cloud of the whole flight.
+    recording : RecordingInfo
+    config : RunConfig
+    wall_s : float
+        Seconds that processing took.
+    warnings : tuple of str
+    interrupted : bool
+        True when the flight was not read to its end.
+    """
+
+    segments: tuple[Segment, ...]
+    intersections: tuple[Intersection, ...]
+    scans: tuple[ScanRecord, ...]
+    skipped: Counter[str]
+    rejections: Counter[str]
+    trajectory: Trajectory
+    cloud: NDArray[np.float32]
+    recording: RecordingInfo
+    config: RunConfig
+    wall_s: float
+    warnings: tuple[str, ...] = ()
+    interrupted: bool = False
