@@ -1,0 +1,160 @@
+"""One scan -> its segments in the world frame. Stateless, so scans are independent."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+
+from beamseg_batch.config import RunConfig
+from beamseg_batch.detection.filtering import crop_scan, voxel_grid
+from beamseg_batch.detection.hough import iterative_hough
+from beamseg_batch.detection.screening import Rejection, screen
+from beamseg_batch.geometry import FloatArray, RigidTransform, distances_to_line, line_parameters
+from beamseg_batch.model import Detections, Scan, Segment
+
+__all__ = ["Detector"]
+
+
+class Detector:
+    """The report's sections 3.2.2 to 3.2.5 as a callable.
+
+    Parameters
+    ----------
+    config : RunConfig
+    """
+
+    def __init__(self, config: RunConfig) -> None:
+        self.config = config
+
+    def __call__(self, scan: Scan) -> Detections:
+        """Find the segments of one scan.
+
+        Parameters
+        ----------
+        scan : Scan
+
+        Returns
+        -------
+        Detections
+            Segments in the world frame.
+        """
+        clock = _StageClock()
+        cropped = crop_scan(scan, self.config.filtering)
+        rejections: Counter[str] = Counter()
+        found: list[Segment] = []
+        clouds: list[FloatArray] = []
+        left, num_lines = cropped.points, 0
+        clock.lap("filter")
+        for radius in sorted(self.config.filtering.radii, reverse=True):
+            cloud = voxel_grid(left, self.config.filtering.leaf_size(radius))
+            clouds.append(cloud)
+            clock.lap("filter")
+            segments, lines = self._search(cloud, radius, rejections, clock)
+            found += segments
+            num_lines += lines
+            left = self._unclaimed(left, segments)
+            clock.lap("filter")
+        T_world_sensor = scan.T_world_sensor
+        in_world = [_to_world(segment, T_world_sensor, scan.stamp_ns) for segment in found]
+        in_world = self._above_floor(in_world, rejections)
+        clock.lap("screen")
+        return Detections(
+            scan=scan,
+            segments=tuple(in_world),
+            n_points_raw=cropped.num_returns,
+            n_points_window=cropped.num_window,
+            n_points_filtered=len(clouds[0]),
+            n_lines=num_lines,
+            rejections=rejections,
+            cloud=T_world_sensor.apply(clouds[0]).astype(np.float32),
+            stage_us={"read": scan.read_us, **clock.stage_us},
+        )
+
+    def _search(
+        self, cloud: FloatArray, radius: float, rejections: Counter[str], clock: _StageClock
+    ) -> tuple[list[Segment], int]:
+        """Lines of one radius, screened as they come until enough are kept.
+
+        A refused line does not count towards `nlines`: walls and floor would use up the
+        limit before the beams are found.
+        """
+        hough = self.config.detection.hough
+        leaf_size = self.config.filtering.leaf_size(radius)
+        lines = iterative_hough(
+            cloud,
+            dx=hough.dx or self.config.filtering.diag_voxel(radius),
+            granularity=hough.granularity,
+            minvotes=hough.minvotes,
+        )
+        kept: list[Segment] = []
+        num_lines = 0
+        for line in lines:
+            clock.lap("search")
+            num_lines += 1
+            verdict = screen(
+                cloud[line.indices],
+                line.direction,
+                radius,
+                leaf_size,
+                hough.minvotes,
+                self.config.detection.screening,
+            )
+            if isinstance(verdict, Rejection):
+                rejections[verdict.reason] += 1
+            else:
+                kept.append(verdict)
+            clock.lap("screen")
+            if hough.nlines and len(kept) == hough.nlines:
+                break
+        clock.lap("search")
+        return kept, num_lines
+
+    def _unclaimed(self, points: FloatArray, segments: list[Segment]) -> FloatArray:
+        """Points that belong to none of the segments (report, section 6.3).
+
+        A beam's own points lie within a voxel diagonal of the line through its visible
+        surface, as the search collected them.
+        """
+        for segment in segments:
+            reach = self.config.filtering.diag_voxel(segment.radius)
+            t = line_parameters(points, segment.anchor, segment.direction)
+            close = distances_to_line(points, segment.anchor, segment.direction) <= reach
+            points = points[~(close & (t >= segment.t_min) & (t <= segment.t_max))]
+        return points
+
+    def _above_floor(self, segments: list[Segment], rejections: Counter[str]) -> list[Segment]:
+        """Refuse segments with an end below the floor trim (report, section 3.2.5)."""
+        if self.config.filtering.floor_trim != "segment":
+            return segments
+        floor = self.config.filtering.floor_trim_height
+        kept = [s for s in segments if min(s.end_1[2], s.end_2[2]) > floor]
+        rejections["below_floor"] += len(segments) - len(kept)
+        return kept
+
+
+def _to_world(segment: Segment, T_world_sensor: RigidTransform, stamp_ns: int) -> Segment:
+    """Move a segment from the sensor frame to the world frame (report, section 3.2.5)."""
+    return replace(
+        segment,
+        anchor=T_world_sensor.apply(segment.anchor),
+        direction=T_world_sensor.rotate(segment.direction),
+        points=T_world_sensor.apply(segment.points),
+        first_seen_ns=stamp_ns,
+        last_seen_ns=stamp_ns,
+    )
+
+
+class _StageClock:
+    """Adds up the time between laps by stage."""
+
+    def __init__(self) -> None:
+        self.stage_us: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, stage: str) -> None:
+        now = time.perf_counter()
+        self.stage_us[stage] = self.stage_us.get(stage, 0.0) + (now - self._last) * 1e6
+        self._last = now

@@ -1,0 +1,176 @@
+"""The iterative 3-D Hough transform (Dalitz et al., IPOL 2017): points -> lines.
+
+It gives the lines of the published program without doing its work. That program keeps
+one dense accumulator over all cells and directions and scans it for each line. Here
+each direction votes in a small grid of its own, and a heap of upper bounds says which
+directions need to be looked at again after the points of a line were taken away.
+`docs/method.md` tells why the result is the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamseg_batch.detection.directions import hemisphere_directions
+from beamseg_batch.detection.hough_kernels import HoughSpace, Search, next_line, start_search
+from beamseg_batch.errors import ConfigError, ShapeError
+from beamseg_batch.geometry import FloatArray
+
+__all__ = ["HoughLine", "iterative_hough"]
+
+MAX_CELLS_PER_SIDE = 4000
+"""Side of the largest voting plane: the most cells that float32 numbers exactly."""
+
+# Rounding of a float32 grid coordinate: about seven roundings of numbers up to the
+# number of cells, each by at most 2**-24 of it; ten leaves a margin.
+_FLOAT32_ROUNDINGS = 10 * 2.0**-24
+
+
+@dataclass(frozen=True, eq=False)
+class HoughLine:
+    """A line of the iterative Hough transform.
+
+    Attributes
+    ----------
+    anchor : (3,) float64, metres
+        Mean of the line's points.
+    direction : (3,) float64, unit vector
+        On the same side as `cell_direction`.
+    indices : (M,) int64
+        The points of the line, as indices into the cloud, in its order.
+    votes : int
+        Votes of the winning cell, before the fit.
+    cell_anchor, cell_direction : (3,) float64
+        The line of the winning cell.
+    """
+
+    anchor: FloatArray
+    direction: FloatArray
+    indices: NDArray[np.int64]
+    votes: int
+    cell_anchor: FloatArray
+    cell_direction: FloatArray
+
+
+def iterative_hough(
+    points: FloatArray,
+    *,
+    dx: float | None = None,
+    granularity: int = 4,
+    minvotes: int = 2,
+    nlines: int = 0,
+) -> Iterator[HoughLine]:
+    """Find lines one after the other, each in the points that the earlier ones left.
+
+    Parameters
+    ----------
+    points : (N, 3) float64, metres
+        Finite.
+    dx : float, optional
+        Cell width and reach of a line, metres; by default 1/64 of the cloud's diagonal.
+    granularity : int
+        Subdivisions of the icosahedron, 0 to 6.
+    minvotes : int
+        The search ends at the first line with fewer points; at least 2.
+    nlines : int
+        The search ends after so many lines; 0 for no limit.
+
+    Yields
+    ------
+    HoughLine
+        Searched only when asked for, so a caller who stops early saves the rest.
+
+    Raises
+    ------
+    ShapeError
+        If `points` is not (N, 3).
+    ConfigError
+        If the cloud spans more than 4000 cells.
+
+    Notes
+    -----
+    Algorithms 1 and 2 of Dalitz, Schramke and Jeltsch, IPOL 7 (2017), 184-196. As in
+    their program a cloud smaller than `dx` holds no line, and the search ends at a line
+    whose points have no extent.
+    """
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ShapeError(f"points must have shape (N, 3), not {points.shape}")
+    if len(points) < 2:
+        return
+    low, high = points.min(axis=0), points.max(axis=0)
+    diagonal = float(np.sqrt(np.sum((high - low) ** 2)))
+    dx = diagonal / 64.0 if dx is None else dx
+    if diagonal == 0.0 or dx >= diagonal:
+        return
+    shift = (low + high) / 2.0
+    space = _hough_space(granularity)
+    search = _new_search(points - shift, dx, len(space.directions))
+    start_search(space, search)
+    cell_line, line = np.empty(6), np.empty(6)
+    num_alive, found = len(points), 0
+    while num_alive > 1 and (nlines == 0 or found < nlines):
+        votes, count, num_alive = next_line(
+            space, search, found, num_alive, max(minvotes, 2), cell_line, line
+        )
+        if count == 0:
+            return
+        found += 1
+        yield HoughLine(
+            anchor=line[:3] + shift,
+            direction=line[3:].copy(),
+            indices=search.close[:count].copy(),
+            votes=votes,
+            cell_anchor=cell_line[:3] + shift,
+            cell_direction=cell_line[3:].copy(),
+        )
+
+
+@cache
+def _hough_space(granularity: int) -> HoughSpace:
+    directions = hemisphere_directions(granularity)
+    x, y, z = directions.T
+    beta = 1.0 / (1.0 + z)
+    rows = np.array([1.0 - beta * x * x, -beta * x * y, -x, 1.0 - beta * y * y, -y]).T
+    return HoughSpace(directions, np.ascontiguousarray(rows, np.float32))
+
+
+def _new_search(points: FloatArray, dx: float, num_directions: int) -> Search:
+    """Lay out a search over centred points; its arrays are filled by `start_search`."""
+    corners = np.array([points.max(axis=0), points.min(axis=0)])
+    reach = float(np.sqrt((corners * corners).sum(axis=1)).max())
+    num_x, count = _cells_per_side(reach, dx), len(points)
+    coordinates = np.empty((3, count), np.float32)
+    return Search(
+        points=np.ascontiguousarray(points),
+        reach=reach,
+        dx=dx,
+        num_x=num_x,
+        margin=np.float32(_FLOAT32_ROUNDINGS * (num_x + 2)),
+        alive=np.empty(count, np.int64),
+        shuffled=np.empty(count, np.int64),
+        xs=coordinates[0],
+        ys=coordinates[1],
+        zs=coordinates[2],
+        heap=np.empty(num_directions, np.int64),
+        keys=np.empty(num_directions, np.int64),
+        rounds=np.empty(num_directions, np.int64),
+        exact=np.empty(num_directions, np.bool_),
+        cells=np.empty(count, np.uint32),
+        close=np.empty(count, np.int64),
+        grid=np.zeros(num_x * (num_x + 2) + 1, np.uint16 if count < 2**16 else np.uint32),
+    )
+
+
+def _cells_per_side(reach: float, dx: float) -> int:
+    cells = float(np.floor(2.0 * reach / dx + 0.5))
+    if cells > MAX_CELLS_PER_SIDE:
+        raise ConfigError(
+            f"a cloud of {2.0 * reach:.4g} m has {cells:.4g} cells of {dx:.4g} m along one side, "
+            f"limit {MAX_CELLS_PER_SIDE}; see detection.hough.dx and filtering.radii"
+        )
+    return int(cells)

@@ -1,0 +1,216 @@
+"""Which lines are segments (report, section 3.2.4): four criteria, each with its name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from beamseg_batch.config import ScreeningConfig
+from beamseg_batch.detection.hough_kernels import fit_line
+from beamseg_batch.errors import ShapeError
+from beamseg_batch.geometry import FloatArray, distances_to_line, line_parameters
+from beamseg_batch.model import Segment
+
+__all__ = [
+    "REJECTION_REASONS",
+    "Rejection",
+    "longest_run",
+    "measured_radius",
+    "min_number_of_points",
+    "screen",
+    "segment_from_points",
+]
+
+Reason = Literal["too_few_points", "wrong_radius", "gap", "low_pca_coeff"]
+
+REJECTION_REASONS: tuple[Reason, ...] = ("too_few_points", "wrong_radius", "gap", "low_pca_coeff")
+"""The criteria, in the order in which they are asked."""
+
+
+@dataclass(frozen=True)
+class Rejection:
+    """A line that is not a segment: falsy, so that ``if segment:`` reads as it should.
+
+    Attributes
+    ----------
+    reason : str
+        One of `REJECTION_REASONS`.
+    """
+
+    reason: Reason
+
+    def __bool__(self) -> bool:
+        return False
+
+
+def screen(
+    points: FloatArray,
+    direction: FloatArray,
+    radius: float,
+    leaf_size: float,
+    minvotes: int,
+    config: ScreeningConfig,
+) -> Segment | Rejection:
+    """Make a segment of the points of a line, or say why they are none.
+
+    Parameters
+    ----------
+    points : (N, 3) float64, metres
+        The points that the search collected for the line.
+    direction : (3,) float64, unit vector
+        The line's direction; the segment's points the same way.
+    radius : float, metres
+        Expected radius.
+    leaf_size : float, metres
+        Edge of a voxel.
+    minvotes : int
+        Fewest points of a line; what is left of a line after a cut must still have them.
+    config : ScreeningConfig
+
+    Returns
+    -------
+    Segment or Rejection
+
+    Notes
+    -----
+    With ``gap: longest_run`` the line is cut at its gaps first and the criteria judge
+    what is kept: a line often runs on through the points of another beam.
+    """
+    diag_voxel = np.sqrt(3.0) * leaf_size
+    max_gap = config.max_gap_factor * diag_voxel
+    segment = segment_from_points(points, direction, radius)
+    runs_whole = True
+    t = line_parameters(points, segment.anchor, segment.direction)
+    run = longest_run(t, max_gap)
+    if len(run) < len(points):
+        runs_whole = False
+        if config.gap == "longest_run":
+            points, runs_whole = points[run], True
+            if len(points) < minvotes:
+                return Rejection("too_few_points")
+            segment = segment_from_points(points, direction, radius)
+    needed = config.min_points_factor * min_number_of_points(segment.length, radius, leaf_size)
+    if len(points) < needed:
+        return Rejection("too_few_points")
+    tolerance = config.radius_tolerance_factor * diag_voxel
+    if abs(measured_radius(segment) - radius) >= tolerance:
+        return Rejection("wrong_radius")
+    if not runs_whole:
+        return Rejection("gap")
+    if segment.pca_coeff < config.min_pca_coeff:
+        return Rejection("low_pca_coeff")
+    return segment
+
+
+def segment_from_points(points: FloatArray, direction: FloatArray, radius: float) -> Segment:
+    """Fit a segment to points by principal component analysis.
+
+    Parameters
+    ----------
+    points : (N, 3) float64, metres
+        At least two, not all the same.
+    direction : (3,) float64
+        Which of the two ways along the axis is forward.
+    radius : float, metres
+
+    Returns
+    -------
+    Segment
+        Axis through the mean along the first principal component; the ends are the
+        outermost points, projected onto it.
+
+    Raises
+    ------
+    ShapeError
+        If there are fewer than two points.
+
+    Notes
+    -----
+    ``pca_coeff = eig[0] / (eig[0] + eig[1] + eig[2])``, report, section 3.2.4.
+    """
+    if len(points) < 2:
+        raise ShapeError(f"a segment needs at least 2 points, not {len(points)}")
+    anchor, axis, scatter = fit_line(points, np.arange(len(points)), len(points))
+    axis = axis if axis @ direction >= 0.0 else -axis
+    t = line_parameters(points, anchor, axis)
+    total = float(scatter.sum())
+    return Segment(
+        anchor=anchor,
+        direction=axis,
+        t_min=float(t.min()),
+        t_max=float(t.max()),
+        radius=radius,
+        n_points=len(points),
+        pca_coeff=float(scatter[0]) / total if total > 0.0 else 0.0,
+        pca_eig=scatter / (len(points) - 1),
+        points=points,
+    )
+
+
+def longest_run(t: FloatArray, max_gap: float) -> FloatArray:
+    """Find the longest stretch along an axis without a gap.
+
+    Parameters
+    ----------
+    t : (N,) float64, metres
+        Positions along the axis, in any order.
+    max_gap : float, metres
+        Neighbours further apart than this are a gap.
+
+    Returns
+    -------
+    (M,) int64
+        Indices into `t` of the run that spans the most metres, ascending. The first of
+        equals.
+    """
+    order = np.argsort(t, kind="stable")
+    ordered = t[order]
+    cuts = np.flatnonzero(np.diff(ordered) > max_gap)
+    starts = np.concatenate(([0], cuts + 1))
+    stops = np.concatenate((cuts, [len(t) - 1]))
+    best = int(np.argmax(ordered[stops] - ordered[starts]))
+    run: FloatArray = np.sort(order[starts[best] : stops[best] + 1])
+    return run
+
+
+def min_number_of_points(length: float, radius: float, leaf_size: float) -> float:
+    """Smallest number of points of a segment.
+
+    Parameters
+    ----------
+    length, radius, leaf_size : float, metres
+
+    Returns
+    -------
+    float
+        ``2 * r * |e2 - e1| / (rad_2_leaf_ratio * 2 diag_voxel * 2 diag_voxel)``
+
+    Notes
+    -----
+    Report, section 3.2.4. ``r / rad_2_leaf_ratio`` is the leaf size, so only the length
+    and the leaf size matter; the formula is kept in the report's terms.
+    """
+    rad_2_leaf_ratio = radius / leaf_size
+    diag_voxel = float(np.sqrt(3.0)) * leaf_size
+    return 2.0 * radius * length / (rad_2_leaf_ratio * 2.0 * diag_voxel * 2.0 * diag_voxel)
+
+
+def measured_radius(segment: Segment) -> float:
+    """Distance of the furthest point of a segment from its axis.
+
+    Parameters
+    ----------
+    segment : Segment
+        With its points.
+
+    Returns
+    -------
+    float, metres
+
+    Notes
+    -----
+    Report, section 3.2.4, "Computed Radius Matching Predefined Radius".
+    """
+    return float(distances_to_line(segment.points, segment.anchor, segment.direction).max())
