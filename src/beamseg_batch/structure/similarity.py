@@ -1,0 +1,129 @@
+"""When two segments are the same beam: solutions 1 to 3 of the report's section 3.2.6.
+
+Each solution scores one new segment against many known ones at once: the score is the
+largest ratio of a distance to its threshold, so that up to 1 they are similar and the
+lowest is the best match.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from beamseg_batch.config import FilteringConfig, StructureConfig, ThresholdConfig
+from beamseg_batch.geometry import FloatArray
+from beamseg_batch.model import Segment
+from beamseg_batch.structure.arrays import SegmentArrays
+
+__all__ = [
+    "Similarity",
+    "midpoint_scores",
+    "parameter_scores",
+    "projection_scores",
+    "similarity_by",
+]
+
+
+Similarity = Callable[[Segment, SegmentArrays], FloatArray]
+"""Scores of a new segment against known ones; up to 1 is similar, infinite never."""
+
+
+def parameter_scores(new: Segment, known: SegmentArrays, limits: ThresholdConfig) -> FloatArray:
+    """Score by anchor, direction and midpoint: solution 1.
+
+    Parameters
+    ----------
+    new : Segment
+    known : SegmentArrays
+    limits : ThresholdConfig
+        ``T_a``, ``T_b`` and ``T_p`` are used.
+
+    Returns
+    -------
+    (N,) float64
+
+    Notes
+    -----
+    ``|a2 - a1| <= T_a``, ``|b2 - b1| <= T_b``, ``|p2 - p1| <= T_p``. A beam has no front,
+    so the nearer of ``b`` and ``-b`` counts.
+    """
+    anchor = np.linalg.norm(known.anchors - new.anchor, axis=1)
+    same = np.linalg.norm(known.directions - new.direction, axis=1)
+    opposite = np.linalg.norm(known.directions + new.direction, axis=1)
+    middle = np.linalg.norm(known.midpoints - new.midpoint, axis=1)
+    ratios = [anchor / limits.T_a, np.minimum(same, opposite) / limits.T_b, middle / limits.T_p]
+    scores: FloatArray = np.max(ratios, axis=0)
+    return scores
+
+
+def midpoint_scores(new: Segment, known: SegmentArrays, limits: ThresholdConfig) -> FloatArray:
+    """Score by direction and midpoint: solution 2.
+
+    Parameters
+    ----------
+    new : Segment
+    known : SegmentArrays
+    limits : ThresholdConfig
+        ``T_d`` and ``T_p`` are used.
+
+    Returns
+    -------
+    (N,) float64
+
+    Notes
+    -----
+    ``b1 . b2 >= T_d`` and ``|p2 - p1| <= T_p``; the sign of the product does not matter.
+    """
+    cosine = np.abs(known.directions @ new.direction)
+    middle = np.linalg.norm(known.midpoints - new.midpoint, axis=1)
+    return np.where(cosine >= limits.T_d, middle / limits.T_p, np.inf)
+
+
+def projection_scores(
+    new: Segment, known: SegmentArrays, limits: ThresholdConfig, diag_voxel: float
+) -> FloatArray:
+    """Score by the distances of the new ends from the known axes: solution 3.
+
+    Parameters
+    ----------
+    new : Segment
+    known : SegmentArrays
+    limits : ThresholdConfig
+        ``epsilon`` is used when it is set.
+    diag_voxel : float, metres
+        For the new segment's radius.
+
+    Returns
+    -------
+    (N,) float64
+
+    Notes
+    -----
+    ``epsilon = 2 * diag_voxel + r1 + r2``, and the radii are identical.
+    """
+    furthest = np.maximum(known.distances_from(new.end_1), known.distances_from(new.end_2))
+    epsilon = limits.epsilon or 2.0 * diag_voxel + new.radius + known.radii
+    return np.where(known.radii == new.radius, furthest / epsilon, np.inf)
+
+
+def similarity_by(structure: StructureConfig, filtering: FilteringConfig) -> Similarity:
+    """Choose the similarity solution that the configuration names.
+
+    Parameters
+    ----------
+    structure : StructureConfig
+    filtering : FilteringConfig
+
+    Returns
+    -------
+    Similarity
+    """
+    limits = structure.thresholds
+    if structure.similarity == "parameters":
+        return lambda new, known: parameter_scores(new, known, limits)
+    if structure.similarity == "midpoint":
+        return lambda new, known: midpoint_scores(new, known, limits)
+    return lambda new, known: projection_scores(
+        new, known, limits, filtering.diag_voxel(new.radius)
+    )
