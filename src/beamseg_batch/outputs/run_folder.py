@@ -1,0 +1,247 @@
+"""A run on disk: written from a flight's result, and read back."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from beamseg_batch.config import RunConfig, config_yaml
+from beamseg_batch.errors import RunError
+from beamseg_batch.model import FlightResult, Intersection, Segment
+from beamseg_batch.outputs.columns import (
+    intersection_columns,
+    intersections_from_columns,
+    processing_time_columns,
+    segment_columns,
+    segments_from_columns,
+    time_origin_ns,
+)
+from beamseg_batch.outputs.folder import MANIFEST, OutputFolder, encoded
+from beamseg_batch.outputs.summary import (
+    SCHEMA_VERSION,
+    results_sha256,
+    summarise,
+    summary_json,
+)
+from beamseg_batch.tables import (
+    INTERSECTIONS,
+    PROCESSING_TIME,
+    SEGMENTS,
+    TABLES,
+    ColumnArrays,
+    Table,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["Run", "WrittenRun", "check_output", "planned_files", "read_run", "write_run"]
+
+CONFIG_FILE = "config.yaml"
+REPORT_FILE = "report.html"
+
+
+@dataclass(frozen=True)
+class WrittenRun:
+    """What `write_run` left on disk.
+
+    Attributes
+    ----------
+    folder : Path
+        As it was given.
+    files : tuple of str
+        Names of the files, sorted.
+    summary : mapping
+        The content of `summary.json`.
+    """
+
+    folder: Path
+    files: tuple[str, ...]
+    summary: Mapping[str, Any]
+
+    @property
+    def report(self) -> Path | None:
+        """Path of the report, or None when none was asked for."""
+        return self.folder / REPORT_FILE if REPORT_FILE in self.files else None
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A finished run, read from its folder.
+
+    Attributes
+    ----------
+    folder : Path
+    summary : dict
+        The content of `summary.json`.
+    columns : mapping of str to columns
+        The tables as arrays by column name, under `segments`, `intersections` and
+        `processing_time`.
+    """
+
+    folder: Path
+    summary: dict[str, Any]
+    columns: Mapping[str, ColumnArrays]
+
+    @cached_property
+    def segments(self) -> tuple[Segment, ...]:
+        """The beams as objects, without their points."""
+        origin = int(self.summary["recording"]["time_origin_ns"])
+        return segments_from_columns(self.columns[SEGMENTS.name], origin)
+
+    @cached_property
+    def intersections(self) -> tuple[Intersection, ...]:
+        """The intersections as objects."""
+        return intersections_from_columns(self.columns[INTERSECTIONS.name])
+
+    @cached_property
+    def tables(self) -> dict[str, pd.DataFrame]:
+        """The tables as DataFrames, by the name of the file without `.csv`."""
+        import pandas as pd
+
+        return {name: pd.DataFrame(columns) for name, columns in self.columns.items()}
+
+
+def planned_files(config: RunConfig) -> tuple[str, ...]:
+    """Names of the files that a run with this configuration writes, sorted.
+
+    Parameters
+    ----------
+    config : RunConfig
+
+    Returns
+    -------
+    tuple of str
+    """
+    names = [*(table.file_name for table in TABLES), CONFIG_FILE, MANIFEST]
+    return tuple(sorted(names + [REPORT_FILE] * config.outputs.report))
+
+
+def check_output(path: Path, config: RunConfig, *, overwrite: bool = False) -> None:
+    """Say whether a run could be written, before the flight is processed.
+
+    Parameters
+    ----------
+    path : Path
+        The output folder.
+    config : RunConfig
+    overwrite : bool
+
+    Raises
+    ------
+    OutputError
+        As `write_run` would, except for what changes until then.
+    """
+    OutputFolder.check(path, overwrite=overwrite, names=planned_files(config))
+
+
+def write_run(result: FlightResult, path: Path, *, overwrite: bool = False) -> WrittenRun:
+    """Write all files of a run, or none.
+
+    Parameters
+    ----------
+    result : FlightResult
+    path : Path
+        The output folder; it and its parents are created when they are missing.
+    overwrite : bool
+        Whether the files of an earlier run are replaced.
+
+    Returns
+    -------
+    WrittenRun
+
+    Raises
+    ------
+    OutputError
+        If the folder is occupied or cannot be written.
+    """
+    contents = _table_files(result)
+    contents[CONFIG_FILE] = encoded(config_yaml(result.config))
+    if result.config.outputs.report:
+        from beamseg_batch.outputs.report import render_report
+
+        contents[REPORT_FILE] = encoded(render_report(result))
+    files = sorted([*contents, MANIFEST])
+    summary = summarise(result, files, results_sha256(contents))
+    contents[MANIFEST] = encoded(summary_json(summary))
+    with OutputFolder(path, overwrite=overwrite) as folder:
+        for name in files:
+            folder.write(name, contents[name])
+    return WrittenRun(path, tuple(files), summary)
+
+
+def read_run(folder: Path) -> Run:
+    """Read a finished run.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    Run
+
+    Raises
+    ------
+    RunError
+        If the folder holds no run, or one that cannot be read.
+    """
+    summary = _read_summary(Path(folder))
+    columns = {table.name: _read_table(Path(folder), table) for table in TABLES}
+    return Run(Path(folder), summary, columns)
+
+
+def _table_files(result: FlightResult) -> dict[str, bytes]:
+    columns = {
+        SEGMENTS: segment_columns(result.segments, time_origin_ns(result)),
+        INTERSECTIONS: intersection_columns(result.intersections),
+        PROCESSING_TIME: processing_time_columns(result.scans),
+    }
+    return {table.file_name: encoded(table.encode(values)) for table, values in columns.items()}
+
+
+def _read_summary(folder: Path) -> dict[str, Any]:
+    file = folder / MANIFEST
+    if not file.is_file():
+        what = "holds no run" if folder.is_dir() else "is no folder of a run"
+        raise RunError(f"{folder} {what}: there is no {MANIFEST}")
+    try:
+        summary = json.loads(_read_text(file))
+    except (ValueError, RecursionError) as error:
+        raise RunError(f"{file}: is not valid JSON: {error}") from error
+    version = summary.get("schema_version") if isinstance(summary, dict) else None
+    if not isinstance(version, int):
+        raise RunError(f"{file}: is not the summary of a run: it has no schema_version")
+    if version > SCHEMA_VERSION:
+        raise RunError(
+            f"{file}: has schema_version {version}, this version reads up to {SCHEMA_VERSION}; "
+            "update beamseg-batch"
+        )
+    if not isinstance(_nested(summary, "recording", "time_origin_ns"), int):
+        raise RunError(f"{file}: has no recording.time_origin_ns")
+    assert isinstance(summary, dict)
+    return summary
+
+
+def _nested(tree: Any, *keys: str) -> Any:
+    for key in keys:
+        tree = tree.get(key) if isinstance(tree, dict) else None
+    return tree
+
+
+def _read_table(folder: Path, table: Table) -> ColumnArrays:
+    file = folder / table.file_name
+    return table.decode(_read_text(file), where=str(file))
+
+
+def _read_text(file: Path) -> str:
+    try:
+        return file.read_text(encoding="utf-8")
+    except OSError as error:
+        raise RunError(f"{file}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise RunError(f"{file}: is not UTF-8 text: {error.reason}") from error

@@ -1,0 +1,207 @@
+"""`summary.json`: what a run did, for machines."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import platform
+from collections.abc import Iterable, Mapping, Sequence
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+
+from beamseg_batch.geometry import FloatArray
+from beamseg_batch.model import STAGES, FlightResult, RecordingInfo, ScanRecord
+from beamseg_batch.outputs.columns import time_origin_ns
+from beamseg_batch.tables import TABLES
+
+__all__ = ["SCHEMA_VERSION", "results_sha256", "summarise", "summary_json"]
+
+SCHEMA_VERSION = 1
+"""Raised when a key of the summary changes its name or its meaning."""
+
+_LIBRARIES = ("beamseg-batch", "numpy", "numba", "rosbags")
+
+
+def summarise(result: FlightResult, files: Iterable[str], results_hash: str) -> dict[str, Any]:
+    """Summarise a flight.
+
+    Parameters
+    ----------
+    result : FlightResult
+    files : iterable of str
+        Names of all files of the run, the summary itself included.
+    results_hash : str
+        The value of `results_sha256`.
+
+    Returns
+    -------
+    dict
+        JSON values only; the keys are always the same, and a value that is not known,
+        such as a percentile of no scans, is None.
+    """
+    summary = {
+        "schema_version": SCHEMA_VERSION,
+        "versions": _versions(),
+        "recording": _recording(result),
+        "profile": result.config.profile,
+        "counts": _counts(result),
+        "totals": {
+            "beam_length_m": math.fsum(segment.length for segment in result.segments),
+            "wall_s": result.wall_s,
+        },
+        "processing": _processing(result.scans),
+        "real_time": _real_time(result.scans),
+        "warnings": list(result.warnings),
+        "interrupted": result.interrupted,
+        "results_sha256": results_hash,
+        "files": sorted(files),
+        "configuration": result.config.model_dump(mode="json"),
+    }
+    finite: dict[str, Any] = _finite(summary)
+    return finite
+
+
+def summary_json(summary: Mapping[str, Any]) -> str:
+    """Write a summary as strict JSON.
+
+    Parameters
+    ----------
+    summary : mapping
+
+    Returns
+    -------
+    str
+        Ended by a line feed; never with the literals NaN or Infinity.
+    """
+    return json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def results_sha256(contents: Mapping[str, bytes]) -> str:
+    """Hash of the results that are the same whenever the flight is processed again.
+
+    Parameters
+    ----------
+    contents : mapping of str to bytes
+        Files by name; those that are not deterministic tables do not count.
+
+    Returns
+    -------
+    str
+        SHA-256 over the name, the size and the bytes of each table, in hexadecimal.
+    """
+    digest = hashlib.sha256()
+    for table in TABLES:
+        if table.deterministic and table.file_name in contents:
+            content = contents[table.file_name]
+            digest.update(f"{table.file_name}\0{len(content)}\0".encode())
+            digest.update(content)
+    return digest.hexdigest()
+
+
+def _versions() -> dict[str, str | None]:
+    versions: dict[str, str | None] = {name: _installed(name) for name in _LIBRARIES}
+    versions["python"] = platform.python_version()
+    return dict(sorted(versions.items()))
+
+
+def _installed(distribution: str) -> str | None:
+    try:
+        return metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _recording(result: FlightResult) -> dict[str, Any]:
+    recording = result.recording
+    return {
+        # Names only: a summary is passed on, and a path tells about the machine.
+        "files": [path.name or str(path) for path in recording.paths],
+        "container": recording.container,
+        "sha256": recording.sha256,
+        "size_bytes": recording.size_bytes,
+        "start_ns": recording.start_ns,
+        "end_ns": recording.end_ns,
+        "duration_s": recording.duration_s,
+        "time_origin_ns": time_origin_ns(result),
+        "cloud_topic": recording.cloud_topic,
+        "pose_topic": recording.pose_topic,
+        "frames": {
+            "sensor": recording.sensor_frame,
+            "body": recording.body_frame,
+            "world": recording.world_frame,
+        },
+        "extrinsic": _extrinsic(recording),
+        "notes": list(recording.notes),
+    }
+
+
+def _extrinsic(recording: RecordingInfo) -> dict[str, Any]:
+    return {
+        "source": recording.extrinsic_source,
+        "translation_m": np.asarray(recording.T_body_sensor.translation).tolist(),
+        "rotation_matrix": np.asarray(recording.T_body_sensor.rotation).tolist(),
+    }
+
+
+def _counts(result: FlightResult) -> dict[str, Any]:
+    skipped = sum(result.skipped.values())
+    return {
+        "clouds": len(result.scans) + skipped,
+        "processed": len(result.scans),
+        "skipped": skipped,
+        "skipped_by_reason": dict(sorted(result.skipped.items())),
+        "lines": sum(scan.n_lines for scan in result.scans),
+        "rejected": sum(result.rejections.values()),
+        "rejected_by_criterion": dict(sorted(result.rejections.items())),
+        "segments": len(result.segments),
+        "intersections": len(result.intersections),
+    }
+
+
+def _processing(scans: Sequence[ScanRecord]) -> dict[str, Any]:
+    times = np.array([scan.processing_us for scan in scans]) * 1e-3
+    stages = {
+        stage: np.array([scan.stage_us.get(stage, 0.0) for scan in scans]) * 1e-3
+        for stage in STAGES
+    }
+    return _percentiles_ms(times) | {
+        "stages": {stage: _percentiles_ms(values) for stage, values in stages.items()}
+    }
+
+
+def _percentiles_ms(times_ms: FloatArray) -> dict[str, float | None]:
+    names = ("p50_ms", "p90_ms", "p99_ms", "max_ms", "mean_ms")
+    if not len(times_ms):
+        return dict.fromkeys(names)
+    values = [*np.percentile(times_ms, (50, 90, 99, 100)), times_ms.mean()]
+    return {name: float(value) for name, value in zip(names, values, strict=True)}
+
+
+def _real_time(scans: Sequence[ScanRecord]) -> dict[str, Any]:
+    """Whether a live node at this pace would have kept up with the clouds."""
+    intervals_ms = np.diff([scan.stamp_ns for scan in scans]) * 1e-6
+    if not len(intervals_ms) or not np.median(intervals_ms) > 0:
+        return dict.fromkeys(("kept_up", "cloud_interval_ms", "load", "share_of_scans_late"))
+    interval_ms = float(np.median(intervals_ms))
+    times_ms = np.array([scan.processing_us for scan in scans]) * 1e-3
+    load = float(times_ms.mean()) / interval_ms
+    return {
+        "kept_up": load <= 1.0,
+        "cloud_interval_ms": interval_ms,
+        "load": load,
+        "share_of_scans_late": float(np.mean(times_ms > interval_ms)),
+    }
+
+
+def _finite(value: Any) -> Any:
+    """Replace what JSON cannot hold by None, in a tree of JSON values."""
+    if isinstance(value, Mapping):
+        return {str(key): _finite(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(entry) for entry in value]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    return value

@@ -1,0 +1,350 @@
+"""Every column of every table that a run writes, declared once.
+
+A `Table` writes its CSV text, reads it back and documents it, so the three cannot
+disagree. Text goes in and out: files are the business of `beamseg_batch.outputs`.
+
+Numbers round-trip. Most are written as the shortest decimal that reads back as the
+same float64; a column with a fixed number of decimals is rounded to them, and reads
+back as what was written. Negative zero is written as zero, a missing value as nothing.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamseg_batch.errors import RunError, ShapeError
+
+__all__ = [
+    "INTERSECTIONS",
+    "PROCESSING_TIME",
+    "SEGMENTS",
+    "TABLES",
+    "Column",
+    "ColumnArrays",
+    "Table",
+]
+
+ColumnArrays: TypeAlias = dict[str, NDArray[Any]]
+"""Values by column name, all of the same length: int64, float64 or str objects."""
+
+Kind: TypeAlias = Literal["int", "float", "text"]
+
+_DTYPES: Mapping[Kind, type] = {"int": np.int64, "float": np.float64, "text": object}
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a table.
+
+    Attributes
+    ----------
+    name : str
+    unit : str
+        As it stands in the documentation; empty when the values have none.
+    meaning : str
+        One sentence, without its full stop.
+    kind : {'int', 'float', 'text'}
+        What the values are: int64, float64 or str.
+    spec : str
+        Format specification of a number; empty for the shortest text that reads back
+        as the same value.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    kind: Kind = "float"
+    spec: str = ""
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of the array that reading gives."""
+        return np.dtype(_DTYPES[self.kind])
+
+    @property
+    def format(self) -> str:
+        """How the values are written, for people."""
+        if self.kind == "float":
+            return f"{self.spec[1:-1]} decimals" if self.spec else "shortest exact"
+        return {"int": "integer", "text": "text"}[self.kind]
+
+    def encode(self, value: Any) -> str:
+        """Write one value.
+
+        Parameters
+        ----------
+        value : int, float or str
+
+        Returns
+        -------
+        str
+            Empty for a float that is not a number.
+        """
+        if self.kind == "text":
+            return str(value)
+        if self.kind == "int":
+            return str(int(value))
+        number = float(value)
+        if math.isnan(number):
+            return ""
+        text = format(number, self.spec)
+        # Rounding can leave a sign on nothing, and "-0.000" differs from "0.000" in bytes.
+        return format(0.0, self.spec) if float(text) == 0.0 else text
+
+    def decode(self, texts: Sequence[str]) -> NDArray[Any]:
+        """Read the values of the column.
+
+        Parameters
+        ----------
+        texts : sequence of str
+
+        Returns
+        -------
+        (N,) int64, float64 or object (str)
+
+        Raises
+        ------
+        ValueError
+            If a text is not a value of the column's kind.
+        """
+        if self.kind == "int":
+            return np.array([int(text) for text in texts], dtype=np.int64)
+        if self.kind == "float":
+            return np.array([float(text or "nan") for text in texts], dtype=np.float64)
+        return np.array(texts, dtype=object)
+
+
+@dataclass(frozen=True)
+class Table:
+    """One CSV file of a run.
+
+    Attributes
+    ----------
+    file_name : str
+    meaning : str
+        What a row is, for the documentation.
+    columns : tuple of Column
+        In the order in which they are written.
+    deterministic : bool
+        Whether the same flight and configuration give the same bytes again.
+    """
+
+    file_name: str
+    meaning: str
+    columns: tuple[Column, ...]
+    deterministic: bool
+
+    @property
+    def name(self) -> str:
+        """File name without its extension."""
+        return self.file_name.removesuffix(".csv")
+
+    @property
+    def column_names(self) -> tuple[str, ...]:
+        """Names of the columns, in order."""
+        return tuple(column.name for column in self.columns)
+
+    def encode(self, values: Mapping[str, Iterable[Any]]) -> str:
+        """Write the table as CSV text.
+
+        Parameters
+        ----------
+        values : mapping of str to sequence
+            The values of every column, by name, all of the same length.
+
+        Returns
+        -------
+        str
+            A header and one line per row, each ended by a line feed.
+
+        Raises
+        ------
+        ShapeError
+            If a column is missing, unknown or of another length than the first.
+        """
+        if set(values) != set(self.column_names):
+            wrong = ", ".join(sorted(set(values) ^ set(self.column_names)))
+            raise ShapeError(f"{self.file_name}: missing or unknown columns: {wrong}")
+        texts = [[column.encode(v) for v in values[column.name]] for column in self.columns]
+        if len({len(column) for column in texts}) > 1:
+            raise ShapeError(f"{self.file_name}: the columns differ in length")
+        buffer = io.StringIO()
+        writer = csv.writer(buffer, lineterminator="\n")
+        writer.writerow(self.column_names)
+        writer.writerows(zip(*texts, strict=True))
+        return buffer.getvalue()
+
+    def decode(self, text: str, where: str | None = None) -> ColumnArrays:
+        """Read the table from CSV text.
+
+        Parameters
+        ----------
+        text : str
+        where : str, optional
+            What to call the text in an error; the file name without it.
+
+        Returns
+        -------
+        mapping of str to (N,) array
+            The declared columns in their order. Columns that are not declared, such as
+            those of a later version, are left out.
+
+        Raises
+        ------
+        RunError
+            If a declared column is missing or a value is not of its kind.
+        """
+        where = where or self.file_name
+        header, rows = _split_rows(text, where)
+        missing = [name for name in self.column_names if name not in header]
+        if missing:
+            raise RunError(f"{where}: has no column {', '.join(missing)}")
+        arrays: ColumnArrays = {}
+        for column in self.columns:
+            place = header.index(column.name)
+            try:
+                arrays[column.name] = column.decode([row[place] for row in rows])
+            except (ValueError, OverflowError) as error:
+                raise RunError(f"{where}: column {column.name}: {error}") from error
+        return arrays
+
+    def documentation(self) -> str:
+        """Describe the table for people.
+
+        Returns
+        -------
+        str
+            Markdown: the meaning, then a table with a row per column.
+        """
+        stability = "The same bytes" if self.deterministic else "Other numbers"
+        lines = [
+            f"{self.meaning} {stability} when the same flight is processed again.",
+            "",
+            "| column | unit | written as | meaning |",
+            "|---|---|---|---|",
+        ]
+        lines += [
+            f"| `{column.name}` | {column.unit or '–'} | {column.format} | {column.meaning} |"
+            for column in self.columns
+        ]
+        return "\n".join(lines) + "\n"
+
+
+def _split_rows(text: str, where: str) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of CSV text, every row as long as the header."""
+    try:
+        lines = list(csv.reader(io.StringIO(text), strict=True))
+    except csv.Error as error:
+        raise RunError(f"{where}: is not a CSV table: {error}") from error
+    if not lines:
+        raise RunError(f"{where}: is empty, not even a header")
+    header, rows = lines[0], [row for row in lines[1:] if row]
+    for number, row in enumerate(rows, start=1):
+        if len(row) != len(header):
+            raise RunError(f"{where}: row {number} has {len(row)} values, the header {len(header)}")
+    return header, rows
+
+
+def _count(name: str, meaning: str, unit: str = "") -> Column:
+    return Column(name, unit, meaning, kind="int")
+
+
+def _metres(name: str, meaning: str) -> Column:
+    return Column(name, "m", meaning)
+
+
+def _seconds(name: str, meaning: str) -> Column:
+    return Column(name, "s", meaning, spec=".9f")
+
+
+def _stage(name: str, meaning: str) -> Column:
+    return Column(f"{name}_us", "µs", meaning, spec=".1f")
+
+
+SEGMENTS = Table(
+    "segments.csv",
+    "One row per beam, in the world frame, in order of first detection.",
+    (
+        _count("segment", "Number of the beam, from 0"),
+        _metres("a_x", "A point of the axis, x"),
+        _metres("a_y", "A point of the axis, y"),
+        _metres("a_z", "A point of the axis, z"),
+        Column("b_x", "", "Unit direction of the axis, x"),
+        Column("b_y", "", "Unit direction of the axis, y"),
+        Column("b_z", "", "Unit direction of the axis, z"),
+        _metres("t_min", "First end: `a + t_min * b`"),
+        _metres("t_max", "Second end: `a + t_max * b`"),
+        _metres("radius", "Radius of the beam"),
+        _metres("length", "Distance between the ends"),
+        _metres("x1", "First end, x"),
+        _metres("y1", "First end, y"),
+        _metres("z1", "First end, z"),
+        _metres("x2", "Second end, x"),
+        _metres("y2", "Second end, y"),
+        _metres("z2", "Second end, z"),
+        Column("shape", "", "Cross-section: `round`", kind="text"),
+        _count("n_points", "Filtered points that support the beam, over all scans"),
+        _count("n_scans", "Scans in which the beam was found"),
+        Column("pca_coeff", "", "Largest share of the points' variance along one axis, 0 to 1"),
+        Column("pca_eig_0", "m²", "Largest eigenvalue of the points' covariance"),
+        Column("pca_eig_1", "m²", "Second eigenvalue of the points' covariance"),
+        Column("pca_eig_2", "m²", "Smallest eigenvalue of the points' covariance"),
+        _seconds("first_seen_s", "First scan with the beam, from the start of the recording"),
+        _seconds("last_seen_s", "Last scan with the beam, from the start of the recording"),
+    ),
+    deterministic=True,
+)
+"""The beams of the structure."""
+
+INTERSECTIONS = Table(
+    "intersections.csv",
+    "One row per pair of beams that touch.",
+    (
+        _count("seg1", "Number of the first beam, the smaller of the two"),
+        _metres("t1", "Where on the first beam: `a + t1 * b`"),
+        _count("seg2", "Number of the second beam"),
+        _metres("t2", "Where on the second beam: `a + t2 * b`"),
+        _metres("x", "Halfway between the two axes, world frame, x"),
+        _metres("y", "Halfway between the two axes, world frame, y"),
+        _metres("z", "Halfway between the two axes, world frame, z"),
+        _metres("distance", "Distance between the two axes"),
+        Column("angle_deg", "°", "Angle between the two axes, 0 to 90"),
+    ),
+    deterministic=True,
+)
+"""Where beams touch."""
+
+PROCESSING_TIME = Table(
+    "processing_time.csv",
+    "One row per processed scan, in time order.",
+    (
+        _count("wall_time", "From the start of processing to the end of this scan", "µs"),
+        _count("processing_time", "Spent on this scan, reading included", "µs"),
+        _count("seg_vec_size", "Beams in the structure after this scan"),
+        _count("nblines", "Lines found in this scan, before screening"),
+        _count("stamp_ns", "Stamp of the cloud", "ns"),
+        _count("pose_stamp_ns", "Stamp of the pose nearest in time", "ns"),
+        _seconds("pose_gap_s", "Time between the two stamps"),
+        _count("n_points_raw", "Returns of the cloud"),
+        _count("n_points_filtered", "Points given to the line search"),
+        _stage("read", "Reading and decoding the scan"),
+        _stage("filter", "Window, floor trim and voxel grid"),
+        _stage("search", "Iterative Hough transform"),
+        _stage("screen", "Screening of the lines, and the change to the world frame"),
+        _stage("fuse", "Fusing the segments into the structure"),
+        _stage("intersect", "Updating the intersections"),
+    ),
+    deterministic=False,
+)
+"""Times of every scan. The first four columns are those of the original node."""
+
+TABLES = (SEGMENTS, INTERSECTIONS, PROCESSING_TIME)
+"""Every table of a run."""
