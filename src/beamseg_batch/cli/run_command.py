@@ -1,0 +1,150 @@
+"""`beamseg run`: a recorded flight -> a folder of results."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from beamseg_batch.cli.console import ScanProgress, note, say, stop_on_interrupt, warn
+from beamseg_batch.cli.options import (
+    ConfigOptions,
+    config_options,
+    recording_argument,
+    verbosity_options,
+)
+from beamseg_batch.errors import OutputError
+
+if TYPE_CHECKING:
+    from beamseg_batch.config import RunConfig
+    from beamseg_batch.model import FlightResult
+    from beamseg_batch.outputs import WrittenRun
+
+__all__ = ["command"]
+
+INTERRUPTED = 130
+FAILED = 1
+
+
+@click.command("run")
+@recording_argument
+@click.option(
+    "-o",
+    "--output",
+    metavar="FOLDER",
+    type=click.Path(readable=False, path_type=Path),
+    help="Where the results go; by default a folder named after the flight.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace the files of an earlier run there.")
+@config_options
+@click.option("--json", "as_json", is_flag=True, help="Print summary.json on stdout.")
+@verbosity_options
+def command(
+    recording: tuple[Path, ...],
+    output: Path | None,
+    overwrite: bool,
+    options: ConfigOptions,
+    as_json: bool,
+    verbose: bool,
+    quiet: bool,
+) -> None:
+    """Turn a recorded flight into a measured model of the structure.
+
+    RECORDING is a ROS 1 bag, a ROS 2 bag (folder or file) or an MCAP file; several paths
+    are the parts of one flight. The output folder then holds segments.csv (the beams),
+    intersections.csv, processing_time.csv, summary.json, config.yaml and report.html.
+
+    \b
+    Examples:
+      beamseg run flight.mcap
+      beamseg run flight.bag -o out --profile report
+      beamseg run flight.mcap --extrinsic 0.071,0.011,0.04 --set filtering.radii=[0.1]
+
+    Ctrl-C finishes the scan in hand and leaves what is known in FOLDER.partial.
+    """  # noqa: D301 (click reads the backspace)
+    from beamseg_batch.outputs import check_output
+    from beamseg_batch.recording import open_recording
+
+    config = options.load()
+    level = 0 if quiet else 2 if verbose else config.outputs.verbosity
+    opened = open_recording(list(recording))
+    folder = _output_folder(recording, output, config)
+    check_output(folder, config, overwrite=overwrite)
+    if level >= 1:
+        note(f"reading {', '.join(map(str, recording))} ({opened.container})")
+
+    from beamseg_batch.pipeline import process_flight
+
+    with stop_on_interrupt() as stop_asked, ScanProgress(enabled=level >= 1) as progress:
+        result = process_flight(opened, config, progress=progress, should_stop=stop_asked)
+        asked = stop_asked()
+    _tell(result, level)
+    written = _write(result, folder, overwrite)
+    if as_json:
+        say(json.dumps(written.summary, indent=2))
+    elif level >= 1:
+        say(_five_lines(result, written))
+    if result.interrupted:
+        warn(f"incomplete: {result.warnings[-1]}; what is known is in {written.folder}")
+        click.get_current_context().exit(INTERRUPTED if asked else FAILED)
+
+
+def _output_folder(recording: tuple[Path, ...], output: Path | None, config: RunConfig) -> Path:
+    """Folder of the results: as asked, or named after the flight.
+
+    Results do not belong into a ROS 2 bag, which is a folder of that very name.
+    """
+    asked = Path(config.outputs.path) if output is None and config.outputs.path else output
+    if asked is not None:
+        if any(path.is_dir() and asked.exists() and asked.samefile(path) for path in recording):
+            raise OutputError(f"{asked} is the recording itself; choose another place with -o")
+        return asked
+    first = recording[0].resolve()
+    named = Path(first.name if first.is_dir() else first.stem)
+    if named.resolve() in (first, *first.parents):
+        return named.with_name(f"{named.name}_beams")
+    return named
+
+
+def _write(result: FlightResult, folder: Path, overwrite: bool) -> WrittenRun:
+    from beamseg_batch.outputs import partial_path, write_run
+
+    if result.interrupted:
+        return write_run(result, partial_path(folder), overwrite=True)
+    return write_run(result, folder, overwrite=overwrite)
+
+
+def _tell(result: FlightResult, level: int) -> None:
+    if level >= 1:
+        for text in result.recording.notes:
+            note(text)
+        for text in result.warnings:
+            warn(text)
+    if level >= 2:
+        for scan in result.scans:
+            note(
+                f"scan {scan.stamp_ns}: {scan.n_points_filtered} points, {scan.n_lines} lines, "
+                f"{scan.n_segments} segments known, {scan.processing_us / 1e3:.2f} ms"
+            )
+
+
+def _five_lines(result: FlightResult, written: WrittenRun) -> str:
+    """Sum a run up for the person who started it."""
+    length = sum(segment.length for segment in result.segments)
+    total = len(result.scans) + result.skipped.total()
+    median_ms = written.summary["processing"]["p50_ms"]
+    pace = "" if median_ms is None else f", {median_ms:.1f} ms a scan (median)"
+    longest = max(result.segments, key=lambda s: s.length, default=None)
+    return "\n".join(
+        [
+            f"beams          {len(result.segments)}, {length:.2f} m in all"
+            + (f", the longest {longest.length:.2f} m" if longest else ""),
+            f"intersections  {len(result.intersections)}",
+            f"scans          {len(result.scans)} of {total} used, "
+            f"{result.recording.duration_s:.1f} s of flight",
+            f"time           {result.wall_s:.1f} s{pace}",
+            f"report         {written.report or written.folder}",
+        ]
+    )
