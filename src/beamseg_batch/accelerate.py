@@ -6,6 +6,7 @@ A kernel takes and returns plain arrays and numbers; its caller checks shapes on
 from __future__ import annotations
 
 import os
+import stat
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -42,14 +43,20 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
     try:
         compiled = numba.njit(cache=True, fastmath=False, error_model="numpy", nogil=True)(function)
     except RuntimeError:
-        os.environ["NUMBA_CACHE_DIR"] = str(_fallback_cache())
+        os.environ["NUMBA_CACHE_DIR"] = _fallback_cache()
         numba.core.config.reload_config()
         compiled = numba.njit(cache=True, fastmath=False, error_model="numpy", nogil=True)(function)
     result: Callable[P, R] = compiled
     return result
 
 
-def _fallback_cache() -> Path:
-    """Return a folder of this user's in the system's temporary folder."""
+def _fallback_cache() -> str:
+    """Return a folder that this user alone can write, since code is loaded from it."""
     user = os.getuid() if hasattr(os, "getuid") else os.environ.get("USERNAME", "user")
-    return Path(tempfile.gettempdir()) / f"beamseg-cache-{user}"
+    folder = Path(tempfile.gettempdir()) / f"beamseg-cache-{user}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    status = folder.lstat()
+    mine = not hasattr(os, "getuid") or status.st_uid == os.getuid()
+    if mine and stat.S_ISDIR(status.st_mode) and not status.st_mode & 0o022:
+        return str(folder)
+    return tempfile.mkdtemp(prefix="beamseg-cache-")

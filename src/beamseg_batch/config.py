@@ -41,9 +41,11 @@ __all__ = [
 
 DEFAULT_PROFILE = "precise"
 
-Positive: TypeAlias = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative: TypeAlias = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite: TypeAlias = Annotated[float, Field(allow_inf_nan=False)]
+# The limits are far beyond any structure; they keep arithmetic from overflowing.
+Positive: TypeAlias = Annotated[float, Field(gt=0, le=1e4, allow_inf_nan=False)]
+NonNegative: TypeAlias = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
+Finite: TypeAlias = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
+Seconds: TypeAlias = Annotated[float, Field(ge=-4e9, le=4e9, allow_inf_nan=False)]
 Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 Vector3: TypeAlias = tuple[Finite, Finite, Finite]
 Interval: TypeAlias = tuple[Finite, Finite]
@@ -66,7 +68,7 @@ class RecordingConfig(_Node):
     """Name of the fixed frame; null takes the pose's header frame or the tf tree's root."""
     body_frame: str | None = None
     """Name of the drone's frame; null takes the pose's child frame or the sensor's root in tf."""
-    time_offset_s: Finite = 0.0
+    time_offset_s: Seconds = 0.0
     """Seconds added to the stamps of the clouds before matching."""
 
 
@@ -146,9 +148,9 @@ class HoughConfig(_Node):
     """Subdivisions of the icosahedron that gives the directions: 4 has 1281, 6 has 20481."""
     dx: Positive | None = None
     """Cell width of the voting plane and reach of a line, metres; null is sqrt(3) * leaf size."""
-    minvotes: Annotated[int, Field(ge=2)] = 12
+    minvotes: Annotated[int, Field(ge=2, le=2**23)] = 12
     """Fewest points of a line; the search ends at the first line with fewer."""
-    nlines: Annotated[int, Field(ge=0)] = 10
+    nlines: Annotated[int, Field(ge=0, le=2**23)] = 10
     """Most segments kept of one scan; 0 for no limit. Refused lines do not count."""
 
 
@@ -212,7 +214,7 @@ class StructureConfig(_Node):
     min_weight: Share = 0.01
     """w_min: smallest weight of the new segment in a weighted fusion."""
     thresholds: ThresholdConfig = ThresholdConfig()
-    min_scans: Annotated[int, Field(ge=1)] = 1
+    min_scans: Annotated[int, Field(ge=1, le=2**31)] = 1
     """Segments seen in fewer scans are left out of the result."""
     min_length: NonNegative = 0.0
     """Shorter segments are left out of the result, metres."""
@@ -228,7 +230,7 @@ class OutputConfig(_Node):
     """0 errors only, 1 progress and information, 2 details of every scan."""
     report: bool = True
     """Whether report.html is written."""
-    cloud_points: Annotated[int, Field(ge=0)] = 200_000
+    cloud_points: Annotated[int, Field(ge=0, le=20_000_000)] = 200_000
     """Most points of the thinned cloud of the flight."""
 
 
@@ -313,13 +315,13 @@ def load_config(
     where = str(file) if file else "configuration"
     original = _is_original(overlay)
     overlay = _resolve_aliases(overlay, where)
+    for override in overrides:
+        overlay = _merged(overlay, _parse_override(override))
     named = overlay.get("profile")
     if named is not None and not isinstance(named, str):
         raise ConfigError(f"{where}: profile must be a name, not {named!r}")
     name = profile or named or ("report" if original else DEFAULT_PROFILE)
     tree = _merged(_read_profile(name), overlay)
-    for override in overrides:
-        tree = _merged(tree, _parse_override(override))
     tree["profile"] = name
     return _validated(tree, where)
 
@@ -347,13 +349,14 @@ def _read_profile(name: str) -> dict[str, Any]:
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:
-    from ruamel.yaml import YAML, YAMLError
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
 
     try:
         content = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
-    except (YAMLError, UnicodeDecodeError) as error:
+    except (YAMLError, ValueError, RecursionError) as error:
         reason = " ".join(str(error).split())
         raise ConfigError(f"{path}: is not valid YAML: {reason}") from error
     if content is None:
@@ -371,18 +374,23 @@ def _is_original(tree: Mapping[str, Any]) -> bool:
 def _resolve_aliases(tree: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Move the original node's flat keys to their places in the tree."""
     resolved: dict[str, Any] = {key: value for key, value in tree.items() if key not in ALIASES}
-    for key, value in tree.items():
-        if key not in ALIASES:
-            continue
-        if ALIASES[key] == "filtering.radii" and not isinstance(value, list):
-            value = [value]
-        if ALIASES[key] == "detection.hough.dx" and value == 0:
-            value = None
-        try:
-            resolved = _merged(resolved, _nested(ALIASES[key], value))
-        except ConfigError as error:
-            raise ConfigError(f"{where}: {error}") from error
+    given: dict[str, str] = {}
+    for key in tree:
+        if (path := ALIASES.get(key)) is not None and given.setdefault(path, key) != key:
+            raise ConfigError(f"{where}: {given[path]!r} and {key!r} both set {path}; keep one")
+    for key in tree:
+        if key in ALIASES:
+            resolved = _merged(resolved, _nested(ALIASES[key], _translated(key, tree[key])))
     return resolved
+
+
+def _translated(alias: str, value: Any) -> Any:
+    """Say a value of the original node as this tree says it."""
+    if ALIASES[alias] == "filtering.radii" and not isinstance(value, list):
+        return [value]
+    if ALIASES[alias] == "detection.hough.dx" and value == 0:
+        return None
+    return value
 
 
 def _nested(path: str, value: Any) -> dict[str, Any]:
@@ -394,7 +402,8 @@ def _nested(path: str, value: Any) -> dict[str, Any]:
 
 
 def _parse_override(text: str) -> dict[str, Any]:
-    from ruamel.yaml import YAML, YAMLError
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
 
     path, equals, value = text.partition("=")
     if not equals or not path.strip():
@@ -404,7 +413,7 @@ def _parse_override(text: str) -> dict[str, Any]:
         )
     try:
         parsed = YAML(typ="safe", pure=True).load(value)
-    except YAMLError as error:
+    except (YAMLError, ValueError, RecursionError) as error:
         raise ConfigError(f"{text!r}: the value is not valid YAML") from error
     key = path.strip()
     return _resolve_aliases({key: parsed}, key) if key in ALIASES else _nested(key, parsed)
@@ -424,8 +433,21 @@ def _validated(tree: Mapping[str, Any], where: str) -> RunConfig:
     try:
         return RunConfig.model_validate(tree)
     except ValidationError as error:
-        problems = [_explain(problem) for problem in error.errors()]
-        raise ConfigError(f"{where}: " + "; ".join(problems)) from None
+        raise ConfigError(f"{where}: " + "; ".join(_problems(error))) from None
+
+
+def _problems(error: ValidationError) -> list[str]:
+    """Say each problem once, where it lies: a branch fails because of what is in it."""
+    found = error.errors()
+    return [
+        _explain(problem)
+        for problem in found
+        if not any(_lies_in(other["loc"], problem["loc"]) for other in found)
+    ]
+
+
+def _lies_in(inner: Sequence[Any], outer: Sequence[Any]) -> bool:
+    return len(inner) > len(outer) and tuple(inner[: len(outer)]) == tuple(outer)
 
 
 def _explain(problem: Mapping[str, Any]) -> str:
@@ -435,8 +457,12 @@ def _explain(problem: Mapping[str, Any]) -> str:
         return f"unknown key {path!r}{_nearest(path, tuple(_key_paths(RunConfig)))}"
     message = str(problem["msg"]).removeprefix("Value error, ")
     value = problem.get("input")
-    shown = "" if isinstance(value, Mapping) else f" is {value!r}"
+    shown = "" if isinstance(value, Mapping) else f" is {_shortened(repr(value))}"
     return f"{path}{shown}: {message[:1].lower()}{message[1:]}"
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def _key_paths(node: type[BaseModel], prefix: str = "") -> Iterator[str]:

@@ -11,6 +11,7 @@ __all__ = [
     "AmbiguousTopicError",
     "BeamsegError",
     "ConfigError",
+    "DuplicateRecordingError",
     "NoScansError",
     "OutputError",
     "RecordingError",
@@ -39,6 +40,12 @@ class ConfigError(BeamsegError, ValueError):
 
 class RecordingError(BeamsegError, OSError):
     """A recording cannot be read."""
+
+
+class DuplicateRecordingError(RecordingError):
+    """A recording was named more than once."""
+
+    exit_code = 2
 
 
 class RecordingNotFoundError(RecordingError):

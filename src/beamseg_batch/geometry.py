@@ -220,7 +220,7 @@ def interpolate_quaternion(
     Notes
     -----
     Spherical linear interpolation (Shoemake 1985). Below 1e-3 rad the chord replaces
-    the arc, which differs by less than rounding there and has no division by zero.
+    the arc: it differs by less than 1e-10 rad there and has no division by zero.
     """
     cosine = float(np.dot(first_xyzw, second_xyzw))
     if cosine < 0.0:

@@ -30,7 +30,7 @@ __all__ = [
     "Trajectory",
 ]
 
-STAGES = ("read", "filter", "search", "screen", "fuse", "intersect")
+STAGES = ("read", "filter", "search", "screen", "fuse")
 """Names of the timed stages of a scan, in the order in which they run."""
 
 

@@ -84,8 +84,9 @@ def process_flight(
                 log.skip(scan)
             else:
                 detections = detect(scan)
-                stage_us = structure.update(detections)
-                log.add(detections, stage_us, len(structure))
+                start = time.perf_counter()
+                structure.update(detections)
+                log.add(detections, (time.perf_counter() - start) * 1e6, len(structure))
             progress.step(len(structure))
             if should_stop():
                 log.stop(f"interrupted after {log.n_clouds} of {flight.n_clouds} clouds")
@@ -112,7 +113,7 @@ class _FlightLog:
         self.n_returns = 0
         self.warnings: list[str] = []
         self.interrupted = False
-        leaf_size = config.filtering.leaf_size(min(config.filtering.radii))
+        leaf_size = config.filtering.leaf_size(max(config.filtering.radii))
         self.cloud = ThinnedCloud(config.outputs.cloud_points, leaf_size)
 
     @property
@@ -123,8 +124,8 @@ class _FlightLog:
         self.first_skip = self.first_skip or scan
         self.skipped[scan.reason] += 1
 
-    def add(self, detections: Detections, structure_us: dict[str, float], n_segments: int) -> None:
-        scan, stage_us = detections.scan, {**detections.stage_us, **structure_us}
+    def add(self, detections: Detections, fuse_us: float, n_segments: int) -> None:
+        scan, stage_us = detections.scan, {**detections.stage_us, "fuse": fuse_us}
         self.rejections.update(detections.rejections)
         self.n_window += detections.n_points_window
         self.n_returns += detections.n_points_raw
@@ -150,13 +151,17 @@ class _FlightLog:
 
     def check_used(self, flight: Flight, config: RunConfig) -> None:
         """Refuse a flight of which nothing could be used, saying what stood in the way."""
-        topic = flight.info.cloud_topic
+        topic = f"{flight.recording.name}: {flight.info.cloud_topic}"
+        if self.n_clouds == 0 and not self.interrupted:
+            raise NoScansError(f"{topic}: holds no cloud")
         if not self.scans and not self.interrupted:
             reasons = ", ".join(f"{n} {reason}" for reason, n in self.skipped.most_common())
             first = f"; the first: {self.first_skip.detail}" if self.first_skip else ""
             raise NoScansError(
                 f"{topic}: none of {self.n_clouds} clouds is usable: {reasons}{first}"
             )
+        if self.scans and self.n_returns == 0 and not self.interrupted:
+            raise NoScansError(f"{topic}: none of {len(self.scans)} clouds holds a return")
         if self.scans and self.n_window == 0 and not self.interrupted:
             window = config.filtering.window
             raise NoScansError(

@@ -340,7 +340,6 @@ PROCESSING_TIME = Table(
         _stage("search", "Iterative Hough transform"),
         _stage("screen", "Screening of the lines, and the change to the world frame"),
         _stage("fuse", "Fusing the segments into the structure"),
-        _stage("intersect", "Updating the intersections"),
     ),
     deterministic=False,
 )

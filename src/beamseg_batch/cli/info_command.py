@@ -78,9 +78,10 @@ def _lines(summary: RecordingSummary) -> Iterator[str]:
         yield f"{role + ' frame':14}{frame.name or '(no name)'}: {frame.reason}"
     if summary.extrinsic:
         x, y, z = summary.extrinsic.translation
-        r, p, w = summary.extrinsic.rotation_rpy_deg
+        roll, pitch, yaw = summary.extrinsic.rotation_rpy_deg
         yield (
-            f"extrinsic     {x:g}, {y:g}, {z:g} m, roll {r:.2f}, pitch {p:.2f}, yaw {w:.2f} degrees "
+            f"extrinsic     {x:g}, {y:g}, {z:g} m, "
+            f"roll {roll:.2f}, pitch {pitch:.2f}, yaw {yaw:.2f} degrees "
             f"(from: {summary.extrinsic.source})"
         )
     for text in summary.notes:

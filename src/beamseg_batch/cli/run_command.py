@@ -98,7 +98,7 @@ def _output_folder(recording: tuple[Path, ...], output: Path | None, config: Run
     """
     asked = Path(config.outputs.path) if output is None and config.outputs.path else output
     if asked is not None:
-        if any(path.is_dir() and asked.exists() and asked.samefile(path) for path in recording):
+        if any(path.is_dir() and _are_same(path, asked) for path in recording):
             raise OutputError(f"{asked} is the recording itself; choose another place with -o")
         return asked
     first = recording[0].resolve()
@@ -106,6 +106,13 @@ def _output_folder(recording: tuple[Path, ...], output: Path | None, config: Run
     if named.resolve() in (first, *first.parents):
         return named.with_name(f"{named.name}_beams")
     return named
+
+
+def _are_same(path: Path, other: Path) -> bool:
+    try:
+        return path.samefile(other)
+    except (OSError, ValueError):  # there is nothing at the other path, or it is no path
+        return False
 
 
 def _write(result: FlightResult, folder: Path, overwrite: bool) -> WrittenRun:
@@ -120,7 +127,8 @@ def _tell(result: FlightResult, level: int) -> None:
     if level >= 1:
         for text in result.recording.notes:
             note(text)
-        for text in result.warnings:
+        # Why a run is incomplete stands last, and is told at the end.
+        for text in result.warnings[: -1 if result.interrupted else None]:
             warn(text)
     if level >= 2:
         for scan in result.scans:
@@ -133,7 +141,6 @@ def _tell(result: FlightResult, level: int) -> None:
 def _five_lines(result: FlightResult, written: WrittenRun) -> str:
     """Sum a run up for the person who started it."""
     length = sum(segment.length for segment in result.segments)
-    total = len(result.scans) + result.skipped.total()
     median_ms = written.summary["processing"]["p50_ms"]
     pace = "" if median_ms is None else f", {median_ms:.1f} ms a scan (median)"
     longest = max(result.segments, key=lambda s: s.length, default=None)
@@ -142,7 +149,7 @@ def _five_lines(result: FlightResult, written: WrittenRun) -> str:
             f"beams          {len(result.segments)}, {length:.2f} m in all"
             + (f", the longest {longest.length:.2f} m" if longest else ""),
             f"intersections  {len(result.intersections)}",
-            f"scans          {len(result.scans)} of {total} used, "
+            f"scans          {len(result.scans)} used, {result.skipped.total()} skipped, "
             f"{result.recording.duration_s:.1f} s of flight",
             f"time           {result.wall_s:.1f} s{pace}",
             f"report         {written.report or written.folder}",

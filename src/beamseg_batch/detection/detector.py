@@ -115,11 +115,11 @@ class Detector:
     def _unclaimed(self, points: FloatArray, segments: list[Segment]) -> FloatArray:
         """Points that belong to none of the segments (report, section 6.3).
 
-        A beam's own points lie within a voxel diagonal of the line through its visible
-        surface, as the search collected them.
+        The line runs through the visible surface, so all of that surface lies within a
+        diameter of it.
         """
         for segment in segments:
-            reach = self.config.filtering.diag_voxel(segment.radius)
+            reach = 2.0 * segment.radius
             t = line_parameters(points, segment.anchor, segment.direction)
             close = distances_to_line(points, segment.anchor, segment.direction) <= reach
             points = points[~(close & (t >= segment.t_min) & (t <= segment.t_max))]

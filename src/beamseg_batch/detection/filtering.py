@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from beamseg_batch.config import FilteringConfig
-from beamseg_batch.detection.filtering_kernels import crop, voxel_centroids
+from beamseg_batch.detection.filtering_kernels import crop, voxel_means
 from beamseg_batch.errors import ConfigError
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import Scan
@@ -76,6 +76,7 @@ def voxel_grid(points: FloatArray, leaf_size: float) -> FloatArray:
     Returns
     -------
     (M, 3) float64, metres
+        Ordered by z, then y, then x of the voxel, as PCL orders them.
 
     Raises
     ------
@@ -84,12 +85,17 @@ def voxel_grid(points: FloatArray, leaf_size: float) -> FloatArray:
 
     Notes
     -----
-    PCL's VoxelGrid: the grid is aligned at ``floor(x / leaf_size)``, whatever the cloud.
+    PCL's VoxelGrid: the grid is aligned at ``floor(x * (1 / leaf_size))``, whatever the
+    cloud.
     """
-    if len(points) and np.ptp(points, axis=0).max() >= leaf_size * _MAX_VOXELS_PER_AXIS:
+    if len(points) == 0:
+        return np.empty((0, 3))
+    extent = float(np.ptp(points, axis=0).max())
+    if extent >= leaf_size * _MAX_VOXELS_PER_AXIS:
         raise ConfigError(
-            f"a leaf size of {leaf_size:.3g} m cuts a cloud of "
-            f"{np.ptp(points, axis=0).max():.3g} m into more than {_MAX_VOXELS_PER_AXIS} voxels "
-            "along one axis; see filtering.radii and filtering.rad_2_leaf_ratio"
+            f"a leaf size of {leaf_size:.3g} m cuts a cloud of {extent:.3g} m into more than "
+            f"{_MAX_VOXELS_PER_AXIS} voxels along one axis; see filtering.radii and "
+            "filtering.rad_2_leaf_ratio"
         )
-    return voxel_centroids(points, leaf_size)
+    means, keys = voxel_means(points, leaf_size)
+    return means[np.argsort(keys)]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from beamseg_batch.accelerate import kernel
 from beamseg_batch.geometry import FloatArray
 
-__all__ = ["crop", "voxel_centroids"]
+__all__ = ["crop", "voxel_means"]
 
 _EMPTY = np.int64(-1)
 
@@ -62,20 +62,22 @@ def crop(
 
 
 @kernel
-def voxel_centroids(points: FloatArray, leaf: float) -> FloatArray:
-    """Replace the points of each voxel by their mean.
+def voxel_means(points: FloatArray, leaf: float) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Mean of the points in each voxel.
 
     Parameters
     ----------
     points : (N, 3) float64, metres
         Finite; at most 2**20 voxels along an axis.
     leaf : float, metres
-        Edge of a voxel; the grid is aligned at ``floor(x / leaf)``.
+        Edge of a voxel; the grid is aligned at ``floor(x * (1 / leaf))``.
 
     Returns
     -------
-    (M, 3) float64, metres
-        Voxels ordered by z, then y, then x, as PCL's VoxelGrid orders them.
+    means : (M, 3) float64, metres
+        In order of each voxel's first point.
+    keys : (M,) int64
+        Ascending by z, then y, then x of the voxel.
 
     Notes
     -----
@@ -84,12 +86,12 @@ def voxel_centroids(points: FloatArray, leaf: float) -> FloatArray:
     points.
     """
     num_points = len(points)
-    if num_points == 0:
-        return np.empty((0, 3))
     inverse = 1.0 / leaf
-    base = np.empty(3, np.int64)
-    for axis in range(3):
-        base[axis] = np.int64(np.floor(points[:, axis].min() * inverse))
+    low = np.full(3, np.inf)
+    for k in range(num_points):
+        for axis in range(3):
+            low[axis] = min(low[axis], points[k, axis])
+    base_x, base_y, base_z = np.floor(low * inverse)
     size = 4
     while size < 2 * num_points:
         size *= 2
@@ -99,10 +101,10 @@ def voxel_centroids(points: FloatArray, leaf: float) -> FloatArray:
     counts = np.zeros(num_points, np.int64)
     used = 0
     for k in range(num_points):
-        i = np.int64(np.floor(points[k, 0] * inverse)) - base[0]
-        j = np.int64(np.floor(points[k, 1] * inverse)) - base[1]
-        l = np.int64(np.floor(points[k, 2] * inverse)) - base[2]
-        key = (l << 40) | (j << 20) | i
+        x = np.int64(np.floor(points[k, 0] * inverse) - base_x)
+        y = np.int64(np.floor(points[k, 1] * inverse) - base_y)
+        z = np.int64(np.floor(points[k, 2] * inverse) - base_z)
+        key = (z << 42) | (y << 21) | x
         # Fibonacci hashing spreads neighbouring voxels over the table.
         slot = ((key * np.int64(-7046029254386353131)) >> 20) & (size - 1)
         while slots[slot] != _EMPTY and keys[slots[slot]] != key:
@@ -115,8 +117,7 @@ def voxel_centroids(points: FloatArray, leaf: float) -> FloatArray:
         counts[voxel] += 1
         for axis in range(3):
             sums[voxel, axis] += points[k, axis]
-    order = np.argsort(keys[:used])
-    centroids = np.empty((used, 3))
-    for k in range(used):
-        centroids[k] = sums[order[k]] / counts[order[k]]
-    return centroids
+    for voxel in range(used):
+        for axis in range(3):
+            sums[voxel, axis] /= counts[voxel]
+    return sums[:used], keys[:used]

@@ -23,6 +23,9 @@ from beamseg_batch.geometry import FloatArray
 
 __all__ = ["HoughLine", "iterative_hough"]
 
+MAX_POINTS = 2**23
+"""Most points of a cloud: a key has room for the votes and the uncertain votes of these."""
+
 MAX_CELLS_PER_SIDE = 4000
 """Side of the largest voting plane: the most cells that float32 numbers exactly."""
 
@@ -83,26 +86,33 @@ def iterative_hough(
     Yields
     ------
     HoughLine
-        Searched only when asked for, so a caller who stops early saves the rest.
+        Searched only when asked for, so a caller who stops early saves the rest. Errors,
+        too, come with the first line that is asked for.
 
     Raises
     ------
     ShapeError
-        If `points` is not (N, 3).
+        If `points` is not (N, 3), not finite, or holds more than 8 million points.
     ConfigError
-        If the cloud spans more than 4000 cells.
+        If `dx` is not positive, or the cloud spans more than 4000 cells.
 
     Notes
     -----
     Algorithms 1 and 2 of Dalitz, Schramke and Jeltsch, IPOL 7 (2017), 184-196. As in
     their program a cloud smaller than `dx` holds no line, and the search ends at a line
-    whose points have no extent.
+    whose points have no extent beyond rounding.
     """
     if points.ndim != 2 or points.shape[1] != 3:
         raise ShapeError(f"points must have shape (N, 3), not {points.shape}")
+    if len(points) > MAX_POINTS:
+        raise ShapeError(f"a cloud of {len(points)} points is too large, limit {MAX_POINTS}")
+    if dx is not None and not dx > 0.0:
+        raise ConfigError(f"dx must be above 0, not {dx}")
     if len(points) < 2:
         return
     low, high = points.min(axis=0), points.max(axis=0)
+    if not np.isfinite(high - low).all():
+        raise ShapeError("points must be finite")
     diagonal = float(np.sqrt(np.sum((high - low) ** 2)))
     dx = diagonal / 64.0 if dx is None else dx
     if diagonal == 0.0 or dx >= diagonal:

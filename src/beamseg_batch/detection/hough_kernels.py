@@ -18,8 +18,10 @@ from beamseg_batch.geometry import FloatArray
 
 __all__ = ["HoughSpace", "Search", "fit_line", "grid_coordinates", "next_line", "start_search"]
 
-_FLAT_BITS = 44  # room below the votes for a flat index up to 1.7e13
+_FLAT_BITS = 39  # a flat index up to 4000 * 4000 * 20481 below, votes up to 2**24 above
 _FLAT_MASK = (1 << _FLAT_BITS) - 1
+
+_ROUNDING = 1e-14  # points nearer to one another than this share of the cloud are copies
 
 
 class HoughSpace(NamedTuple):
@@ -90,7 +92,7 @@ class Search(NamedTuple):
 
 @kernel
 def _pack(votes: int, flat: int) -> int:
-    return (np.int64(votes) << _FLAT_BITS) | (_FLAT_MASK - np.int64(flat))
+    return (votes << _FLAT_BITS) | (_FLAT_MASK - flat)
 
 
 @kernel
@@ -141,7 +143,7 @@ def _exact_key(space: HoughSpace, search: Search, index: int, num_alive: int) ->
             most, best = votes, cell
     for k in range(num_alive):
         grid[cells[k]] = 0
-    return _pack(most, best * len(space.directions) + index)
+    return _pack(int(most), int(best) * len(space.directions) + index)
 
 
 @kernel
@@ -170,7 +172,7 @@ def _place_votes(
         off = max(abs(x - cell_x), abs(y - cell_y))
         uncertain = np.int32(uncertain + np.int32(off > certain))
         cells[k] = np.uint32(np.int32(cell_x * width + cell_y))
-    return uncertain
+    return int(uncertain)
 
 
 @kernel
@@ -180,9 +182,8 @@ def _most_and_clear(grid: NDArray[Any]) -> int:
     for cell in range(len(grid)):
         votes = grid[cell]
         grid[cell] = 0
-        if votes > most:
-            most = votes
-    return np.int64(most)
+        most = max(most, votes)
+    return int(most)
 
 
 @kernel
@@ -199,10 +200,10 @@ def _vote_bound(space: HoughSpace, search: Search, index: int, num_alive: int) -
             grid[cells[k]] += 1
         return _most_and_clear(grid) + uncertain
     # Few votes on a large grid: look at the cells that were voted for.
-    most = np.int64(0)
+    most = 0
     for k in range(num_alive):
         grid[cells[k]] += 1
-        most = max(most, np.int64(grid[cells[k]]))
+        most = max(most, int(grid[cells[k]]))
     for k in range(num_alive):
         grid[cells[k]] = 0
     return most + uncertain
@@ -239,6 +240,13 @@ def _place_shuffled(search: Search, num_alive: int) -> None:
 
 
 @kernel
+def _common_divisor(first: int, second: int) -> int:
+    while second:
+        first, second = second, first % second
+    return first
+
+
+@kernel
 def start_search(space: HoughSpace, search: Search) -> None:
     """Bound every direction and order them, the most promising on top.
 
@@ -253,7 +261,7 @@ def start_search(space: HoughSpace, search: Search) -> None:
     # keeps neighbours, which vote for the same cell, apart: a count that was just
     # written is slow to read again.
     stride = num_points // 2 | 1
-    while np.gcd(stride, num_points) != 1:
+    while _common_divisor(stride, num_points) != 1:
         stride += 2
     for k in range(num_points):
         search.alive[k] = k
@@ -286,7 +294,7 @@ def _best_key(space: HoughSpace, search: Search, current: int, num_alive: int) -
             keys[top] = min(keys[top], bound)
             rounds[top], exact[top] = current, False
         elif exact[top]:
-            return keys[top]
+            return int(keys[top])
         else:
             keys[top] = _exact_key(space, search, top, num_alive)
             exact[top] = True
@@ -305,7 +313,8 @@ def _line_of_key(space: HoughSpace, search: Search, key: int, line: FloatArray) 
     line[0] = x * (1 - ((b[0] * b[0]) / (1 + b[2]))) - y * ((b[0] * b[1]) / (1 + b[2]))
     line[1] = x * (-((b[0] * b[1]) / (1 + b[2]))) + y * (1 - ((b[1] * b[1]) / (1 + b[2])))
     line[2] = -x * b[0] - y * b[1]
-    line[3:6] = b
+    for axis in range(3):
+        line[3 + axis] = b[axis]
     return key >> _FLAT_BITS
 
 
@@ -396,27 +405,38 @@ def fit_line(
     rotations (Golub and Van Loan, section 8.5), which for 3x3 need at most six sweeps
     and give the same bits on every machine, which a LAPACK does not.
     """
-    anchor = np.zeros(3)
+    anchor, scatter, vectors = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
+    for axis in range(3):
+        for k in range(count):
+            anchor[axis] += points[indices[k], axis]
+        anchor[axis] /= count
+        vectors[axis, axis] = 1.0
     for k in range(count):
-        anchor += points[indices[k]]
-    anchor /= count
-    scatter = np.zeros((3, 3))
-    for k in range(count):
-        d = points[indices[k]] - anchor
         for row in range(3):
             for column in range(3):
-                scatter[row, column] += d[row] * d[column]
-    vectors = np.eye(3)
+                scatter[row, column] += (points[indices[k], row] - anchor[row]) * (
+                    points[indices[k], column] - anchor[column]
+                )
     for _ in range(12):
         if scatter[0, 1] == 0.0 and scatter[0, 2] == 0.0 and scatter[1, 2] == 0.0:
             break
         _rotate(scatter, vectors, 0, 1)
         _rotate(scatter, vectors, 0, 2)
         _rotate(scatter, vectors, 1, 2)
-    eigenvalues = np.array([scatter[0, 0], scatter[1, 1], scatter[2, 2]])
-    order = np.argsort(-eigenvalues)
-    direction = vectors[:, order[0]].copy()
-    return anchor, direction / np.sqrt(np.sum(direction * direction)), eigenvalues[order]
+    first, second, third = 0, 1, 2
+    if scatter[second, second] > scatter[first, first]:
+        first, second = second, first
+    if scatter[third, third] > scatter[second, second]:
+        second, third = third, second
+    if scatter[second, second] > scatter[first, first]:
+        first, second = second, first
+    direction, eigenvalues = np.empty(3), np.empty(3)
+    length = np.sqrt(vectors[0, first] ** 2 + vectors[1, first] ** 2 + vectors[2, first] ** 2)
+    for axis in range(3):
+        direction[axis] = vectors[axis, first] / length
+    eigenvalues[0], eigenvalues[1] = scatter[first, first], scatter[second, second]
+    eigenvalues[2] = scatter[third, third]
+    return anchor, direction, eigenvalues
 
 
 @kernel
@@ -460,18 +480,23 @@ def next_line(
     Dalitz et al., IPOL 2017, algorithm 1: vote, collect, fit, collect, fit.
     """
     votes = _line_of_key(space, search, _best_key(space, search, current, num_alive), cell_line)
-    line[:] = cell_line
+    for part in range(6):
+        line[part] = cell_line[part]
     count = 0
     for attempt in range(2):
         count = _collect(search, num_alive, line[:3], line[3:])
         if count == 0 or (attempt == 1 and count < minvotes):
             return votes, 0, num_alive
         anchor, direction, eigenvalues = fit_line(search.points, search.close, count)
-        if eigenvalues[0] <= 0.0:
+        if eigenvalues[0] <= count * (_ROUNDING * search.reach) ** 2:
             return votes, 0, num_alive
-        line[:3], line[3:] = anchor, direction
-    if np.dot(line[3:], cell_line[3:]) < 0.0:
-        line[3:] = -line[3:]
+        side = (
+            direction[0] * cell_line[3] + direction[1] * cell_line[4] + direction[2] * cell_line[5]
+        )
+        # Element by element: numba compiles the assignment of a slice for seconds.
+        for axis in range(3):
+            line[axis] = anchor[axis]
+            line[3 + axis] = direction[axis] if side >= 0.0 else -direction[axis]
     taken = np.zeros(len(search.points), np.bool_)
     for k in range(count):
         taken[search.close[k]] = True

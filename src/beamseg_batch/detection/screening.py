@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from beamseg_batch.config import ScreeningConfig
-from beamseg_batch.detection.hough_kernels import fit_line
+from beamseg_batch.detection.screening_kernels import measure_line
 from beamseg_batch.errors import ShapeError
-from beamseg_batch.geometry import FloatArray, distances_to_line, line_parameters
+from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import Segment
 
 __all__ = [
     "REJECTION_REASONS",
     "Rejection",
     "longest_run",
-    "measured_radius",
     "min_number_of_points",
     "screen",
     "segment_from_points",
@@ -27,6 +27,9 @@ Reason = Literal["too_few_points", "wrong_radius", "gap", "low_pca_coeff"]
 
 REJECTION_REASONS: tuple[Reason, ...] = ("too_few_points", "wrong_radius", "gap", "low_pca_coeff")
 """The criteria, in the order in which they are asked."""
+
+
+_NO_LENGTH_M = 1e-9  # copies of one point have no direction
 
 
 @dataclass(frozen=True)
@@ -78,26 +81,23 @@ def screen(
     With ``gap: longest_run`` the line is cut at its gaps first and the criteria judge
     what is kept: a line often runs on through the points of another beam.
     """
-    diag_voxel = np.sqrt(3.0) * leaf_size
+    diag_voxel = math.sqrt(3.0) * leaf_size
     max_gap = config.max_gap_factor * diag_voxel
-    segment = segment_from_points(points, direction, radius)
-    runs_whole = True
-    t = line_parameters(points, segment.anchor, segment.direction)
-    run = longest_run(t, max_gap)
-    if len(run) < len(points):
-        runs_whole = False
-        if config.gap == "longest_run":
-            points, runs_whole = points[run], True
-            if len(points) < minvotes:
-                return Rejection("too_few_points")
-            segment = segment_from_points(points, direction, radius)
+    segment, t, furthest = _fitted(points, direction, radius)
+    has_gap = bool(np.diff(np.sort(t)).max() > max_gap)
+    if has_gap and config.gap == "longest_run":
+        points, has_gap = points[longest_run(t, max_gap)], False
+        if len(points) < minvotes:
+            return Rejection("too_few_points")
+        segment, t, furthest = _fitted(points, direction, radius)
+    if segment.length < _NO_LENGTH_M:
+        return Rejection("too_few_points")
     needed = config.min_points_factor * min_number_of_points(segment.length, radius, leaf_size)
     if len(points) < needed:
         return Rejection("too_few_points")
-    tolerance = config.radius_tolerance_factor * diag_voxel
-    if abs(measured_radius(segment) - radius) >= tolerance:
+    if abs(furthest - radius) >= config.radius_tolerance_factor * diag_voxel:
         return Rejection("wrong_radius")
-    if not runs_whole:
+    if has_gap:
         return Rejection("gap")
     if segment.pca_coeff < config.min_pca_coeff:
         return Rejection("low_pca_coeff")
@@ -130,13 +130,18 @@ def segment_from_points(points: FloatArray, direction: FloatArray, radius: float
     -----
     ``pca_coeff = eig[0] / (eig[0] + eig[1] + eig[2])``, report, section 3.2.4.
     """
+    return _fitted(points, direction, radius)[0]
+
+
+def _fitted(
+    points: FloatArray, direction: FloatArray, radius: float
+) -> tuple[Segment, FloatArray, float]:
+    """Segment of the points, their positions along it, and the largest distance from it."""
     if len(points) < 2:
         raise ShapeError(f"a segment needs at least 2 points, not {len(points)}")
-    anchor, axis, scatter = fit_line(points, np.arange(len(points)), len(points))
-    axis = axis if axis @ direction >= 0.0 else -axis
-    t = line_parameters(points, anchor, axis)
+    anchor, axis, scatter, t, furthest = measure_line(points, direction)
     total = float(scatter.sum())
-    return Segment(
+    segment = Segment(
         anchor=anchor,
         direction=axis,
         t_min=float(t.min()),
@@ -147,6 +152,7 @@ def segment_from_points(points: FloatArray, direction: FloatArray, radius: float
         pca_eig=scatter / (len(points) - 1),
         points=points,
     )
+    return segment, t, furthest
 
 
 def longest_run(t: FloatArray, max_gap: float) -> FloatArray:
@@ -193,24 +199,5 @@ def min_number_of_points(length: float, radius: float, leaf_size: float) -> floa
     and the leaf size matter; the formula is kept in the report's terms.
     """
     rad_2_leaf_ratio = radius / leaf_size
-    diag_voxel = float(np.sqrt(3.0)) * leaf_size
+    diag_voxel = math.sqrt(3.0) * leaf_size
     return 2.0 * radius * length / (rad_2_leaf_ratio * 2.0 * diag_voxel * 2.0 * diag_voxel)
-
-
-def measured_radius(segment: Segment) -> float:
-    """Distance of the furthest point of a segment from its axis.
-
-    Parameters
-    ----------
-    segment : Segment
-        With its points.
-
-    Returns
-    -------
-    float, metres
-
-    Notes
-    -----
-    Report, section 3.2.4, "Computed Radius Matching Predefined Radius".
-    """
-    return float(distances_to_line(segment.points, segment.anchor, segment.direction).max())

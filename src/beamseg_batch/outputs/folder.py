@@ -8,6 +8,7 @@ lists: what else lies in the folder is the user's.
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import secrets
@@ -313,10 +314,13 @@ def _is_safe(name: str) -> bool:
 def _resolved(path: Path) -> Path:
     """Follow all links, so that what is checked is what is written."""
     try:
-        return path.resolve()
+        target = path.resolve()
     except (OSError, RuntimeError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise OutputError(f"{path}: cannot be used: {reason}") from error
+    if target.is_symlink():  # from Python 3.13 on, resolve leaves a loop as it is
+        raise OutputError(f"{path}: cannot be used: {os.strerror(errno.ELOOP)}")
+    return target
 
 
 @contextlib.contextmanager

@@ -141,8 +141,8 @@ def _recording(result: FlightResult) -> dict[str, Any]:
 def _extrinsic(recording: RecordingInfo) -> dict[str, Any]:
     return {
         "source": recording.extrinsic_source,
-        "translation_m": np.asarray(recording.T_body_sensor.translation).tolist(),
-        "rotation_matrix": np.asarray(recording.T_body_sensor.rotation).tolist(),
+        "translation_m": recording.T_body_sensor.translation.tolist(),
+        "rotation_matrix": (recording.T_body_sensor.rotation + 0.0).tolist(),
     }
 
 

@@ -149,10 +149,14 @@ def points_from_cloud(message: CloudMessage) -> NDArray[np.floating]:
     )
     points = _side_by_side(pixels, layout)
     if points is None:
-        points = np.stack([pixels["x"], pixels["y"], pixels["z"]], axis=-1)
+        # A signalling NaN in one field is no error when it becomes a NaN of another type.
+        with np.errstate(invalid="ignore"):
+            points = np.stack([pixels["x"], pixels["y"], pixels["z"]], axis=-1)
     points = points.reshape(-1, 3)
-    native = points.dtype.newbyteorder("=")
-    return points if points.flags.aligned and points.dtype.isnative else points.astype(native)
+    if points.flags.aligned and points.dtype.isnative:
+        return points
+    with np.errstate(invalid="ignore"):
+        return points.astype(points.dtype.newbyteorder("="))
 
 
 def _checked_row_step(message: CloudMessage, height: int, width: int) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import heapq
+import os
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,7 +12,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
-from beamseg_batch.errors import RecordingError
+from beamseg_batch.errors import DuplicateRecordingError, RecordingError
 from beamseg_batch.recording.codec import Definition, MessageCodec
 from beamseg_batch.recording.containers import (
     Channel,
@@ -233,6 +234,8 @@ def open_recording(path_or_paths: AnyPath | Sequence[AnyPath]) -> Recording:
     ------
     RecordingNotFoundError
         If a path does not exist.
+    DuplicateRecordingError
+        If a path is given twice.
     RecordingError
         If a file is not a recording, cannot be read, or if no file holds a message.
     """
@@ -240,11 +243,23 @@ def open_recording(path_or_paths: AnyPath | Sequence[AnyPath]) -> Recording:
     paths = [Path(path) for path in given]
     if not paths:
         raise RecordingError("no path of a recording was given")
+    _refuse_twice(paths)
     containers = [container for path in paths for container in open_containers(path)]
     indexes = [container.index() for container in containers]
     if not any(index.count for index in indexes):
         raise RecordingError(f"{', '.join(map(str, paths))}: the recording holds no messages")
     return Recording(paths, containers, indexes)
+
+
+def _refuse_twice(paths: Sequence[Path]) -> None:
+    """A file read twice would count every scan twice."""
+    seen: dict[str, Path] = {}
+    for path in paths:
+        first = seen.setdefault(os.path.realpath(path), path)
+        if first is not path:
+            raise DuplicateRecordingError(
+                f"{path}: is given twice; name each part of a flight once"
+            )
 
 
 def _definitions(channels: Sequence[Channel]) -> dict[str, Definition]:

@@ -57,6 +57,11 @@ class SegmentArrays:
         self._count -= 1
 
     @property
+    def rows(self) -> FloatArray:
+        """(N, 15) float64: all of it, as the kernels take it."""
+        return self._rows[: self._count]
+
+    @property
     def anchors(self) -> FloatArray:
         """(N, 3) float64, metres."""
         return self._rows[: self._count, 0:3]
@@ -86,19 +91,3 @@ class SegmentArrays:
     def radii(self) -> FloatArray:
         """(N,) float64, metres."""
         return self._rows[: self._count, 14]
-
-    def distances_from(self, point: FloatArray) -> FloatArray:
-        """Distance of a point from each axis, as an infinite line.
-
-        Parameters
-        ----------
-        point : (3,) float64, metres
-
-        Returns
-        -------
-        (N,) float64, metres
-        """
-        offsets = point - self.anchors
-        along = np.sum(offsets * self.directions, axis=1, keepdims=True)
-        distances: FloatArray = np.linalg.norm(offsets - along * self.directions, axis=1)
-        return distances

@@ -46,6 +46,9 @@ class ThinnedCloud:
         self._keep_new(points)
         while len(self._seen) > self.limit:
             points = self.points()
+            # The eight cells around the origin never become one.
+            if self.limit < 8:
+                points = points[: self.limit]
             self.cell_size *= 2.0
             self._seen, self._kept = set(), []
             self._keep_new(points)

@@ -8,6 +8,7 @@ lowest is the best match.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,18 +16,36 @@ from beamseg_batch.config import FilteringConfig, StructureConfig, ThresholdConf
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import Segment
 from beamseg_batch.structure.arrays import SegmentArrays
+from beamseg_batch.structure.kernels import axes_to_ends, ends_to_axes
 
 __all__ = [
     "Similarity",
     "midpoint_scores",
     "parameter_scores",
     "projection_scores",
+    "reverse_projection_scores",
     "similarity_by",
 ]
 
 
-Similarity = Callable[[Segment, SegmentArrays], FloatArray]
-"""Scores of a new segment against known ones; up to 1 is similar, infinite never."""
+Scores = Callable[[Segment, SegmentArrays], FloatArray]
+"""Scores of one segment against known ones; up to 1 is similar, infinite never."""
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """A similarity solution, asked both ways.
+
+    Attributes
+    ----------
+    scores : callable
+        Score of a new segment against each known one.
+    reverse_scores : callable
+        Score of each known segment as if it were new, against the one given.
+    """
+
+    scores: Scores
+    reverse_scores: Scores
 
 
 def parameter_scores(new: Segment, known: SegmentArrays, limits: ThresholdConfig) -> FloatArray:
@@ -102,9 +121,40 @@ def projection_scores(
     -----
     ``epsilon = 2 * diag_voxel + r1 + r2``, and the radii are identical.
     """
-    furthest = np.maximum(known.distances_from(new.end_1), known.distances_from(new.end_2))
-    epsilon = limits.epsilon or 2.0 * diag_voxel + new.radius + known.radii
-    return np.where(known.radii == new.radius, furthest / epsilon, np.inf)
+    furthest = ends_to_axes(known.rows, new.end_1, new.end_2)
+    return _projection_ratio(furthest, new, known, limits, diag_voxel)
+
+
+def reverse_projection_scores(
+    segment: Segment, known: SegmentArrays, limits: ThresholdConfig, diag_voxel: float
+) -> FloatArray:
+    """Score by the distances of the known ends from one axis: solution 3, turned round.
+
+    Parameters
+    ----------
+    segment : Segment
+    known : SegmentArrays
+    limits : ThresholdConfig
+    diag_voxel : float, metres
+
+    Returns
+    -------
+    (N,) float64
+        As `projection_scores` would give it for each known segment against this one.
+    """
+    furthest = axes_to_ends(known.rows, segment.anchor, segment.direction)
+    return _projection_ratio(furthest, segment, known, limits, diag_voxel)
+
+
+def _projection_ratio(
+    furthest: FloatArray,
+    segment: Segment,
+    known: SegmentArrays,
+    limits: ThresholdConfig,
+    diag_voxel: float,
+) -> FloatArray:
+    epsilon = limits.epsilon or 2.0 * diag_voxel + segment.radius + known.radii
+    return np.where(known.radii == segment.radius, furthest / epsilon, np.inf)
 
 
 def similarity_by(structure: StructureConfig, filtering: FilteringConfig) -> Similarity:
@@ -120,10 +170,14 @@ def similarity_by(structure: StructureConfig, filtering: FilteringConfig) -> Sim
     Similarity
     """
     limits = structure.thresholds
-    if structure.similarity == "parameters":
-        return lambda new, known: parameter_scores(new, known, limits)
-    if structure.similarity == "midpoint":
-        return lambda new, known: midpoint_scores(new, known, limits)
-    return lambda new, known: projection_scores(
-        new, known, limits, filtering.diag_voxel(new.radius)
+    diag = filtering.diag_voxel
+    if structure.similarity == "projection":
+        return Similarity(
+            lambda new, known: projection_scores(new, known, limits, diag(new.radius)),
+            lambda one, known: reverse_projection_scores(one, known, limits, diag(one.radius)),
+        )
+    # The other two solutions treat both segments alike.
+    alike = parameter_scores if structure.similarity == "parameters" else midpoint_scores
+    return Similarity(
+        lambda new, known: alike(new, known, limits), lambda one, known: alike(one, known, limits)
     )

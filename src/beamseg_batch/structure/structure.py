@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 
 from beamseg_batch.config import RunConfig
-from beamseg_batch.geometry import FloatArray
+from beamseg_batch.geometry import distances_to_line
 from beamseg_batch.model import Detections, Intersection, Segment
 from beamseg_batch.structure.arrays import SegmentArrays
 from beamseg_batch.structure.fusion import fuse
@@ -20,7 +19,7 @@ __all__ = ["Structure"]
 
 
 class Structure:
-    """Segments of all scans so far, fused, and their intersections.
+    """Segments of all scans so far, fused, and where they touch.
 
     Parameters
     ----------
@@ -29,15 +28,14 @@ class Structure:
 
     def __init__(self, config: RunConfig) -> None:
         self.config = config
-        self._scores = similarity_by(config.structure, config.filtering)
+        self._similarity = similarity_by(config.structure, config.filtering)
         self._segments: list[Segment] = []
         self._arrays = SegmentArrays()
-        self._intersections: dict[tuple[int, int], Intersection] = {}
 
     def __len__(self) -> int:
         return len(self._segments)
 
-    def update(self, detections: Detections) -> dict[str, float]:
+    def update(self, detections: Detections) -> None:
         """Take in the segments of one scan.
 
         Parameters
@@ -45,37 +43,20 @@ class Structure:
         detections : Detections
             World frame.
 
-        Returns
-        -------
-        dict of str to float
-            Microseconds spent on the stages ``fuse`` and ``intersect``.
-
         Notes
         -----
-        Algorithms 1 and 2 of the report.
+        Algorithm 1 of the report.
         """
-        start = time.perf_counter()
-        changed: set[int] = set()
-        for segment in detections.segments:
-            changed.add(self._take_in(segment))
-        changed = self._merge(changed)
-        fused = time.perf_counter()
-        self._update_intersections(changed)
-        done = time.perf_counter()
-        return {"fuse": (fused - start) * 1e6, "intersect": (done - fused) * 1e6}
+        changed = {self._take_in(segment) for segment in detections.segments}
+        self._merge(changed)
 
     def segments(self) -> tuple[Segment, ...]:
         """Segments seen often and long enough, in order of first detection."""
         return tuple(self._segments[i] for i in self._accepted())
 
     def intersections(self) -> tuple[Intersection, ...]:
-        """Intersections between those segments, with their numbers in that order."""
-        number = {index: position for position, index in enumerate(self._accepted())}
-        return tuple(
-            replace(found, segment_1=number[pair[0]], segment_2=number[pair[1]])
-            for pair, found in sorted(self._intersections.items())
-            if pair[0] in number and pair[1] in number
-        )
+        """Intersections of those segments as they now are (algorithm 2 of the report)."""
+        return intersections_of(self.segments(), self.config.structure.intersections)
 
     def rejections(self) -> Counter[str]:
         """Segments that are left out of the result, by reason."""
@@ -99,7 +80,7 @@ class Structure:
     def _take_in(self, new: Segment) -> int:
         """Fuse a segment with the most similar known one it overlaps, or add it."""
         for index in self._similar(new):
-            fused = fuse(self._segments[index], new, self.config.structure)
+            fused = self._fused(self._segments[index], new)
             if fused is not None:
                 self._replace(index, fused)
                 return index
@@ -113,64 +94,57 @@ class Structure:
 
     def _similar(self, new: Segment) -> list[int]:
         """Known segments similar to a new one, the most similar first."""
-        if not self._segments:
-            return []
-        scores: FloatArray = self._scores(new, self._arrays)
+        scores = self._similarity.scores(new, self._arrays)
         close = np.flatnonzero(scores <= 1.0)
         return [int(i) for i in close[np.argsort(scores[close], kind="stable")]]
 
-    def _merge(self, changed: set[int]) -> set[int]:
+    def _fused(self, known: Segment, new: Segment) -> Segment | None:
+        """Fuse two similar segments, unless the result is no longer the known one.
+
+        The report's direction comes from the new segment's ends alone. A short piece of
+        a beam that crosses is near the known axis, and would turn it by any angle.
+        """
+        fused = fuse(known, new, self.config.structure)
+        if fused is None:
+            return None
+        ends = np.array([known.end_1, known.end_2])
+        moved = distances_to_line(ends, fused.anchor, fused.direction).max()
+        limits, diag_voxel = self.config.structure.thresholds, self.config.filtering.diag_voxel
+        epsilon = limits.epsilon or 2.0 * diag_voxel(known.radius) + known.radius + new.radius
+        return fused if moved <= epsilon else None
+
+    def _merge(self, changed: set[int]) -> None:
         """Fuse known segments that have grown into the same beam."""
         waiting = sorted(changed)
         while waiting:
             index = waiting.pop(0)
-            partner = self._duplicate_of(index)
-            if partner is None:
+            found = self._duplicate_of(index)
+            if found is None:
                 continue
+            partner, fused = found
             keep, drop = sorted((index, partner))
-            fused = self._fused_pair(keep, drop)
-            assert fused is not None
             self._replace(keep, fused)
-            changed = self._drop(drop, changed) | {keep}
-            waiting = sorted(changed)
-        return changed
+            del self._segments[drop]
+            self._arrays.delete(drop)
+            waiting = sorted({keep} | {i - (i > drop) for i in waiting if i != drop})
 
-    def _duplicate_of(self, index: int) -> int | None:
+    def _duplicate_of(self, index: int) -> tuple[int, Segment] | None:
+        """Find another known segment of the same beam, and what the two make.
+
+        A short segment may be off at the far ends of a long one while both its own ends
+        lie on it. So each is held against the other's axis, and the better fit fused.
+        """
         segment = self._segments[index]
-        for other in self._similar(segment):
-            if other != index and self._fused_pair(index, other) is not None:
-                return other
+        scores = self._similarity.scores(segment, self._arrays)
+        reverse = self._similarity.reverse_scores(segment, self._arrays)
+        best = np.minimum(scores, reverse)
+        for other in map(int, np.argsort(best, kind="stable")):
+            if best[other] > 1.0:
+                break
+            if other == index:
+                continue
+            pair = (self._segments[other], segment)
+            fused = self._fused(*(pair if scores[other] <= reverse[other] else pair[::-1]))
+            if fused is not None:
+                return other, fused
         return None
-
-    def _fused_pair(self, first: int, second: int) -> Segment | None:
-        """Fuse two known segments, the one with fewer points into the other."""
-        pair = sorted((first, second), key=lambda i: (-self._segments[i].n_points, i))
-        known, new = (self._segments[i] for i in pair)
-        return fuse(known, new, self.config.structure)
-
-    def _drop(self, index: int, changed: set[int]) -> set[int]:
-        """Remove a segment; later ones move down by one, here and in `changed`."""
-        del self._segments[index]
-        self._arrays.delete(index)
-
-        def moved(i: int) -> int:
-            return i - (i > index)
-
-        self._intersections = {
-            (moved(i), moved(j)): replace(found, segment_1=moved(i), segment_2=moved(j))
-            for (i, j), found in self._intersections.items()
-            if index not in (i, j)
-        }
-        return {moved(i) for i in changed if i != index}
-
-    def _update_intersections(self, changed: set[int]) -> None:
-        """Find the changed segments' intersections anew; those that ended are gone."""
-        if not changed:
-            return
-        self._intersections = {
-            pair: found for pair, found in self._intersections.items() if changed.isdisjoint(pair)
-        }
-        limits = self.config.structure.intersections
-        for index in sorted(changed):
-            for found in intersections_of(index, self._segments, self._arrays, limits):
-                self._intersections[found.segment_1, found.segment_2] = found
