@@ -1,0 +1,255 @@
+"""The report: one page that says what was done and asks nobody for anything."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import json
+import re
+from collections import Counter
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from beamseg_batch.outputs.figures import beam_mesh, structure_figure, thinned
+from beamseg_batch.outputs.report import MAX_TABLE_ROWS, render_report
+
+HOSTILE = "</script><script>alert('x')</script><img src=x onerror=alert(1)>&\"{{ 7*7 }}"
+
+
+class Page(HTMLParser):
+    """Elements, attributes and the text of a page."""
+
+    def __init__(self, html):
+        super().__init__()
+        self.tags: Counter[str] = Counter()
+        self.attributes: list[tuple[str, str, str]] = []
+        self.scripts: list[str] = []
+        self.styles: list[str] = []
+        self.text = ""
+        self._open = ""
+        self.feed(html)
+
+    def handle_starttag(self, tag, attributes):
+        self.tags[tag] += 1
+        self.attributes += [(tag, name, value or "") for name, value in attributes]
+        self._open = tag
+        if tag == "script":
+            self.scripts.append("")
+
+    def handle_endtag(self, tag):
+        self._open = ""
+
+    def handle_data(self, data):
+        if self._open == "script":
+            self.scripts[-1] += data
+        elif self._open == "style":
+            self.styles.append(data)
+        else:
+            self.text += data
+
+    @property
+    def figures(self):
+        return json.loads(self.scripts[1])
+
+
+def decoded(typed):
+    kind = np.dtype(typed["dtype"]).newbyteorder("<")
+    return np.frombuffer(base64.b64decode(typed["bdata"]), dtype=kind)
+
+
+def trace(figures, name):
+    return next(t for t in figures["structure"]["data"] if t["name"] == name)
+
+
+@pytest.fixture
+def page(flight):
+    return Page(render_report(flight))
+
+
+def test_render_report__requests_nothing(page):
+    addresses = {"src", "href", "srcset", "action", "data", "poster", "background", "ping"}
+    assert [entry for entry in page.attributes if entry[1] in addresses] == []
+    assert page.tags.keys().isdisjoint({"link", "iframe", "base", "object", "embed", "form"})
+    assert not re.search(r"@import|url\(", "".join(page.styles))
+    policy = next(v for tag, name, v in page.attributes if tag == "meta" and "default-src" in v)
+    assert policy.startswith("default-src 'none'")
+    assert "http" not in policy
+    assert "http" not in page.scripts[2]
+
+
+def test_render_report__offers_no_upload(page):
+    assert "showSendToCloud: false" in page.scripts[2]
+    assert 'plotlyServerURL: ""' in page.scripts[2]
+
+
+def test_render_report__plotly_is_in_it_once(page):
+    assert len(page.scripts) == 3
+    assert [script[:200].count("plotly.js v") for script in page.scripts] == [1, 0, 0]
+
+
+def test_render_report__large_flight_is_under_8_megabytes(make_flight):
+    html = render_report(make_flight(n_segments=600, n_scans=3000, n_cloud=200_000))
+    assert len(html.encode()) < 8_000_000
+    assert len(decoded(trace(Page(html).figures, "cloud")["x"])) == 30_000
+
+
+def test_render_report__far_too_many_beams_are_still_under_8_megabytes(make_flight):
+    flight = make_flight(n_segments=5000, n_scans=12_000, n_cloud=200_000)
+    html = render_report(dataclasses.replace(flight, intersections=flight.intersections * 4))
+    assert len(html.encode()) < 8_000_000
+    assert "The first 2000 of 5000 beams are drawn." in html
+    assert f"The first {MAX_TABLE_ROWS} of 5000 beams" in html
+
+
+def test_render_report__says_what_was_processed(page):
+    text = " ".join(page.text.split())
+    for expected in (
+        "arena.mcap",
+        "ROS 2 MCAP",
+        "20.0 s",
+        "30 of 35",
+        "5 skipped",
+        "no_pose_within_gap",
+        "n_points",
+        "/mavros/local_position/pose",
+        "pico_zense_depth_frame",
+        "3 clouds have no pose within 0.05 s",
+        "floor_trim_height",
+        "0.071, 0.011, 0.040 m (tf_static)",
+    ):
+        assert expected in text
+
+
+def test_render_report__figures_are_valid_plotly(page):
+    graph_objects = pytest.importorskip("plotly.graph_objects")
+    assert list(page.figures) == ["structure", "processing", "by-lines", "size"]
+    for figure in page.figures.values():
+        text = re.sub(r'"\$\w+"', '"red"', json.dumps(figure))
+        graph_objects.Figure(json.loads(text))
+
+
+def test_render_report__times_are_true_milliseconds(page, flight):
+    times_ms = decoded(page.figures["processing"]["data"][0]["y"])
+    expected = [scan.processing_us / 1000 for scan in flight.scans]
+    np.testing.assert_allclose(times_ms, expected, rtol=1e-6)
+
+
+def test_render_report__a_box_per_number_of_lines(page, flight):
+    boxes = {box["name"]: decoded(box["y"]) for box in page.figures["by-lines"]["data"]}
+    lines = Counter(str(scan.n_lines) for scan in flight.scans)
+    assert {name: len(times) for name, times in boxes.items()} == {"all": 30, **lines}
+
+
+def test_render_report__hostile_names(make_flight, describe_recording):
+    recording = describe_recording(
+        paths=(Path(HOSTILE.replace("/", "")),),
+        container=HOSTILE,
+        cloud_topic=HOSTILE,
+        pose_topic=HOSTILE,
+        sensor_frame=HOSTILE,
+        body_frame=HOSTILE,
+        world_frame=HOSTILE,
+        notes=(HOSTILE,),
+    )
+    hostile = make_flight(
+        recording=recording,
+        warnings=(HOSTILE,),
+        skipped=Counter({HOSTILE: 1}),
+        rejections=Counter({HOSTILE: 1}),
+    )
+    page, usual = Page(render_report(hostile)), Page(render_report(make_flight()))
+    assert page.tags["img"] == 0
+    assert page.tags["script"] == usual.tags["script"]
+    assert not [entry for entry in page.attributes if entry[1].startswith("on")]
+    assert page.text.count(HOSTILE) >= 8
+
+
+def test_render_report__empty(empty_flight):
+    page = Page(render_report(empty_flight))
+    assert page.figures == {}
+    assert "There is nothing to show" in page.text
+    assert "No beam was found." in page.text
+    assert "NaN" not in page.text
+    assert "None" not in page.text.replace("None.", "")
+
+
+@pytest.mark.parametrize(
+    "sizes",
+    [
+        {"n_segments": 0, "n_scans": 1, "n_cloud": 1},
+        {"n_segments": 1, "n_scans": 1, "n_cloud": 0},
+        {"n_segments": 2, "n_scans": 2, "n_cloud": 2},
+        {"n_segments": 0, "n_scans": 5, "n_cloud": 0, "intersections": ()},
+    ],
+)
+def test_render_report__small_flights(make_flight, sizes):
+    page = Page(render_report(make_flight(**sizes)))
+    assert list(page.figures) == ["structure", "processing", "by-lines", "size"]
+    assert "NaN" not in page.scripts[1]
+
+
+def test_render_report__interrupted(make_flight):
+    assert "The flight was not read to its end." in render_report(make_flight(interrupted=True))
+
+
+def test_render_report__cloud_with_missing_points(make_flight):
+    cloud = np.array([[np.nan, 0, 0], [1, 2, 3], [np.inf, 0, 0]], dtype=np.float32)
+    figures = Page(render_report(make_flight(cloud=cloud))).figures
+    assert decoded(trace(figures, "cloud")["x"]).tolist() == [1.0]
+
+
+def test_structure_figure__has_equal_scales(flight):
+    assert structure_figure(flight)["layout"]["scene"]["aspectmode"] == "data"
+
+
+def test_structure_figure__a_label_per_beam(flight):
+    mesh = next(t for t in structure_figure(flight)["data"] if t["name"] == "beams")
+    assert len(mesh["meta"]["labels"]) == len(mesh["meta"]["counts"]) == 7
+    assert sum(mesh["meta"]["counts"]) == len(decoded(mesh["x"]))
+    assert decoded(mesh["k"]).max() < len(decoded(mesh["x"]))
+
+
+def test_beam_mesh__is_the_cylinder(flight):
+    beam = flight.segments[0]
+    mesh = beam_mesh([beam])
+    t = (mesh.vertices - beam.anchor) @ beam.direction
+    feet = beam.anchor + np.outer(t, beam.direction)
+    distances = np.linalg.norm(mesh.vertices - feet, axis=1)
+    np.testing.assert_allclose(distances[:-2], beam.radius, atol=1e-5)
+    np.testing.assert_allclose(distances[-2:], 0.0, atol=1e-5)
+    np.testing.assert_allclose([t.min(), t.max()], [beam.t_min, beam.t_max], atol=1e-5)
+
+
+def test_beam_mesh__is_closed_and_faces_outwards(flight):
+    beam = flight.segments[0]
+    mesh = beam_mesh([beam])
+    edges = Counter(
+        (int(t[k]), int(t[(k + 1) % 3])) for t in mesh.triangles.astype(int) for k in range(3)
+    )
+    assert set(edges.values()) == {1}
+    assert all((b, a) in edges for a, b in edges)
+    corners = mesh.vertices[mesh.triangles].astype(float) - beam.midpoint
+    volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
+    sides = 12
+    area = 0.5 * sides * beam.radius**2 * np.sin(2 * np.pi / sides)
+    assert volume == pytest.approx(area * beam.length, rel=1e-3)
+
+
+def test_beam_mesh__no_beams():
+    mesh = beam_mesh([])
+    assert mesh.vertices.shape == mesh.triangles.shape == (0, 3)
+    assert len(mesh.counts) == 0
+
+
+@pytest.mark.parametrize(("size", "limit"), [(0, 5), (5, 5), (6, 5), (200_000, 30_000), (7, 0)])
+def test_thinned__is_even_and_within_the_limit(size, limit):
+    indices = thinned(size, limit)
+    assert len(indices) == min(size, limit)
+    assert np.all(np.diff(indices) >= 1)
+    if len(indices):
+        assert np.diff(indices).max(initial=0) - np.diff(indices).min(initial=10**9) <= 1
+        assert indices[0] == 0
+        assert indices[-1] < size

@@ -1,0 +1,170 @@
+"""A run on disk says what the result said."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from beamseg_batch.config import OutputConfig, RunConfig, load_config
+from beamseg_batch.errors import OutputError, RunError
+from beamseg_batch.outputs import check_output, planned_files, read_run, write_run
+from beamseg_batch.tables import TABLES
+
+
+def assert_same(read, written):
+    assert len(read) == len(written)
+    for one, other in zip(read, written, strict=True):
+        for name, value in vars(other).items():
+            np.testing.assert_array_equal(getattr(one, name), value, err_msg=name)
+
+
+def test_write_run__writes_what_was_planned(tmp_path, flight):
+    run = write_run(flight, tmp_path / "out")
+    files = [
+        "config.yaml",
+        "intersections.csv",
+        "processing_time.csv",
+        "report.html",
+        "segments.csv",
+        "summary.json",
+    ]
+    assert sorted(file.name for file in (tmp_path / "out").iterdir()) == files
+    assert list(run.files) == list(planned_files(flight.config)) == run.summary["files"] == files
+    assert run.report == tmp_path / "out" / "report.html"
+
+
+def test_write_run__without_report(tmp_path, flight_without_report):
+    run = write_run(flight_without_report, tmp_path / "out")
+    assert run.report is None
+    assert not (tmp_path / "out" / "report.html").exists()
+
+
+def test_write_run__configuration_loads_again(tmp_path, flight_without_report):
+    write_run(flight_without_report, tmp_path / "out")
+    assert load_config(file=tmp_path / "out" / "config.yaml") == flight_without_report.config
+
+
+def test_write_run__deterministic_tables_have_the_same_bytes(tmp_path, make_flight):
+    config = RunConfig(outputs=OutputConfig(report=False))
+    summaries = [
+        write_run(make_flight(config=config, wall_s=wall_s), tmp_path / str(wall_s)).summary
+        for wall_s in (1.0, 2.0)
+    ]
+    assert summaries[0]["results_sha256"] == summaries[1]["results_sha256"]
+    for table in TABLES:
+        first, second = (tmp_path / name / table.file_name for name in ("1.0", "2.0"))
+        assert first.read_bytes() == second.read_bytes()
+
+
+def test_write_run__existing_run(tmp_path, flight_without_report):
+    write_run(flight_without_report, tmp_path / "out")
+    with pytest.raises(OutputError, match="already holds a run"):
+        check_output(tmp_path / "out", flight_without_report.config)
+    with pytest.raises(OutputError, match="already holds a run"):
+        write_run(flight_without_report, tmp_path / "out")
+    check_output(tmp_path / "out", flight_without_report.config, overwrite=True)
+    write_run(flight_without_report, tmp_path / "out", overwrite=True)
+
+
+def test_check_output__report_of_the_users_own(tmp_path):
+    (tmp_path / "report.html").write_text("mine")
+    with pytest.raises(OutputError, match=r"report\.html is in the way"):
+        check_output(tmp_path, RunConfig(), overwrite=True)
+    check_output(tmp_path, RunConfig(outputs=OutputConfig(report=False)), overwrite=True)
+
+
+def test_read_run__equals_what_was_written(tmp_path, flight_without_report):
+    written = write_run(flight_without_report, tmp_path / "out")
+    run = read_run(tmp_path / "out")
+    assert run.summary == written.summary
+    assert_same(run.segments, flight_without_report.segments)
+    assert_same(run.intersections, flight_without_report.intersections)
+    assert {name: len(table) for name, table in run.tables.items()} == {
+        "segments": 7,
+        "intersections": 2,
+        "processing_time": 30,
+    }
+    scan = run.tables["processing_time"].iloc[3]
+    assert scan["stamp_ns"] == flight_without_report.scans[3].stamp_ns
+    assert scan["wall_time"] == round(flight_without_report.scans[3].wall_us)
+
+
+def test_read_run__empty(tmp_path, empty_flight):
+    write_run(empty_flight, tmp_path / "out")
+    run = read_run(tmp_path / "out")
+    assert run.segments == run.intersections == ()
+    assert run.tables["segments"].empty
+
+
+def test_read_run__stamps_of_another_clock(tmp_path, make_flight, describe_recording):
+    recording = describe_recording(start_ns=5 * 10**9, end_ns=25 * 10**9)
+    flight = make_flight(recording=recording, config=RunConfig(outputs=OutputConfig(report=False)))
+    write_run(flight, tmp_path / "out")
+    run = read_run(tmp_path / "out")
+    assert run.summary["recording"]["time_origin_ns"] == flight.scans[0].stamp_ns
+    assert run.tables["segments"]["first_seen_s"].between(0.0, 1.0).all()
+    assert_same(run.segments, flight.segments)
+
+
+def test_tables__script_for_the_original_files(tmp_path, flight_without_report):
+    write_run(flight_without_report, tmp_path / "out")
+    segments = pd.read_csv(tmp_path / "out" / "segments.csv")
+    intersections = pd.read_csv(tmp_path / "out" / "intersections.csv")
+    times = pd.read_csv(tmp_path / "out" / "processing_time.csv")
+
+    anchors = segments[["a_x", "a_y", "a_z"]].to_numpy()
+    directions = segments[["b_x", "b_y", "b_z"]].to_numpy()
+    first = anchors + segments[["t_min"]].to_numpy() * directions
+    last = anchors + segments[["t_max"]].to_numpy() * directions
+    np.testing.assert_allclose(first, segments[["x1", "y1", "z1"]].to_numpy(), atol=1e-12)
+    np.testing.assert_allclose(last, segments[["x2", "y2", "z2"]].to_numpy(), atol=1e-12)
+
+    beam = segments.set_index("segment").loc[intersections["seg1"].iloc[1]]
+    assert beam["t_min"] <= intersections["t1"].iloc[1] <= beam["t_max"]
+    assert set(intersections["seg2"]) <= set(segments["segment"])
+
+    by_lines = times.groupby("nblines")["processing_time"].median() / 1e6
+    assert by_lines.between(0.0005, 0.01).all()
+    assert times["wall_time"].is_monotonic_increasing
+    assert times[["wall_time", "processing_time", "seg_vec_size"]].dtypes.eq("int64").all()
+
+
+def test_read_run__no_run(tmp_path):
+    with pytest.raises(RunError, match=r"holds no run: there is no summary\.json") as caught:
+        read_run(tmp_path)
+    assert caught.value.exit_code == 1
+    with pytest.raises(RunError, match="is no folder of a run"):
+        read_run(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "reason"),
+    [
+        ("summary.json", b"{", "is not valid JSON"),
+        ("summary.json", b"[]", "is not the summary of a run"),
+        ("summary.json", b'{"schema_version": 99}', "has schema_version 99"),
+        ("summary.json", b'{"schema_version": 1, "recording": 7}', "has no recording"),
+        ("summary.json", b"\xff", "is not UTF-8 text"),
+        ("segments.csv", b"segment\n", "has no column a_x"),
+        ("processing_time.csv", b"", "is empty"),
+        ("intersections.csv", None, "cannot be read"),
+    ],
+)
+def test_read_run__damaged(tmp_path, flight_without_report, name, content, reason):
+    folder = write_run(flight_without_report, tmp_path / "out").folder
+    (folder / name).unlink()
+    if content is not None:
+        (folder / name).write_bytes(content)
+    with pytest.raises(RunError, match=f"{name}: {reason}"):
+        read_run(folder)
+
+
+def test_write_run__file_name_that_is_not_unicode(tmp_path, make_flight, describe_recording):
+    path = tmp_path / "flight\udcff.bag"
+    flight = make_flight(recording=describe_recording(paths=(path,)))
+    folder = write_run(flight, tmp_path / "out").folder
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    assert summary["recording"]["files"] == ["flight\udcff.bag"]
