@@ -1,0 +1,1 @@
+"""The published search written straight from its paper, in C++ and in numpy."""
