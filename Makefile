@@ -26,8 +26,8 @@ lint: $(VENV)/.installed-dev  ## Check style, types and layers
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 
-bench: $(VENV)/.installed  ## Measure the time of the method
-	@$(BIN)/python -m benchmarks
+bench: $(VENV)/.installed  ## Measure time and memory beside baselines: make bench [FLIGHT=folder]
+	@$(BIN)/python -m benchmarks $(if $(FLIGHT),--flight "$(FLIGHT)")
 
 samples: $(VENV)/.installed  ## Cut data/samples anew: make samples FLIGHT=path/to/webots_tests
 	@test -n "$(FLIGHT)" || { echo "make samples: name the flight to cut: FLIGHT=path/to/webots_tests" >&2; exit 2; }
