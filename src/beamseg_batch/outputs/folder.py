@@ -315,10 +315,11 @@ def _resolved(path: Path) -> Path:
     """Follow all links, so that what is checked is what is written."""
     try:
         target = path.resolve()
+        is_loop = target.is_symlink()  # from Python 3.13 on, resolve leaves a loop as it is
     except (OSError, RuntimeError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise OutputError(f"{path}: cannot be used: {reason}") from error
-    if target.is_symlink():  # from Python 3.13 on, resolve leaves a loop as it is
+    if is_loop:
         raise OutputError(f"{path}: cannot be used: {os.strerror(errno.ELOOP)}")
     return target
 
