@@ -10,7 +10,7 @@ import stat
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar, overload
 
 import numba
 
@@ -20,13 +20,26 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def kernel(function: Callable[P, R]) -> Callable[P, R]:
+@overload
+def kernel(function: Callable[P, R]) -> Callable[P, R]: ...
+
+
+@overload
+def kernel(*, contract: bool) -> Callable[[Callable[P, R]], Callable[P, R]]: ...
+
+
+def kernel(
+    function: Callable[P, R] | None = None, *, contract: bool = False
+) -> Callable[P, R] | Callable[[Callable[P, R]], Callable[P, R]]:
     """Compile a function to machine code on its first call, and keep it on disk.
 
     Parameters
     ----------
     function : callable
         Plain arrays and numbers in and out; no Python objects.
+    contract : bool
+        Whether a product and a sum may be fused into one rounding. Only for a kernel
+        whose result is a bound that holds for either.
 
     Returns
     -------
@@ -35,19 +48,28 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
 
     Notes
     -----
-    ``fastmath`` is off: the search is exact, so the compiler must neither reorder
-    sums nor fuse multiplications with additions. The compiled code lies beside the
-    source or, where that cannot be written, in the user's cache folder; where neither
-    can, it goes to the system's temporary folder rather than fail.
+    No other ``fastmath`` flag is ever on: the search is exact, so the compiler must not
+    reorder sums, and a NaN is an answer. The compiled code lies beside the source or,
+    where that cannot be written, in the user's cache folder; where neither can, it goes
+    to the system's temporary folder rather than fail.
     """
+    if function is None:
+        return lambda decorated: _compiled(decorated, {"contract"} if contract else False)
+    return _compiled(function, False)
+
+
+def _compiled(function: Callable[P, R], fastmath: set[str] | bool) -> Callable[P, R]:
+    def compile_() -> Callable[P, R]:
+        decorator = numba.njit(cache=True, fastmath=fastmath, error_model="numpy", nogil=True)
+        compiled: Callable[P, R] = decorator(function)
+        return compiled
+
     try:
-        compiled = numba.njit(cache=True, fastmath=False, error_model="numpy", nogil=True)(function)
-    except RuntimeError:
+        return compile_()
+    except RuntimeError:  # no folder to keep compiled code in
         os.environ["NUMBA_CACHE_DIR"] = _fallback_cache()
         numba.core.config.reload_config()
-        compiled = numba.njit(cache=True, fastmath=False, error_model="numpy", nogil=True)(function)
-    result: Callable[P, R] = compiled
-    return result
+        return compile_()
 
 
 def _fallback_cache() -> str:

@@ -17,7 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamseg_batch.detection.directions import hemisphere_directions
-from beamseg_batch.detection.hough_kernels import HoughSpace, Search, next_line, start_search
+from beamseg_batch.detection.hough_kernels import (
+    HoughSpace,
+    Search,
+    bounding_box,
+    find_lines,
+    start_search,
+)
 from beamseg_batch.errors import ConfigError, ShapeError
 from beamseg_batch.geometry import FloatArray
 
@@ -28,6 +34,8 @@ MAX_POINTS = 2**23
 
 MAX_CELLS_PER_SIDE = 4000
 """Side of the largest voting plane: the most cells that float32 numbers exactly."""
+
+_BATCH = 8  # lines a call: most scans need one or two calls
 
 # Rounding of a float32 grid coordinate: about seven roundings of numbers up to the
 # number of cells, each by at most 2**-24 of it; ten leaves a margin.
@@ -86,8 +94,8 @@ def iterative_hough(
     Yields
     ------
     HoughLine
-        Searched only when asked for, so a caller who stops early saves the rest. Errors,
-        too, come with the first line that is asked for.
+        Searched a few at a time, so a caller who stops early saves the rest. Errors come
+        with the first line that is asked for.
 
     Raises
     ------
@@ -110,8 +118,8 @@ def iterative_hough(
         raise ConfigError(f"dx must be above 0, not {dx}")
     if len(points) < 2:
         return
-    low, high = points.min(axis=0), points.max(axis=0)
-    if not np.isfinite(high - low).all():
+    low, high, finite = bounding_box(points)
+    if not finite:
         raise ShapeError("points must be finite")
     diagonal = float(np.sqrt(np.sum((high - low) ** 2)))
     dx = diagonal / 64.0 if dx is None else dx
@@ -119,25 +127,37 @@ def iterative_hough(
         return
     shift = (low + high) / 2.0
     space = _hough_space(granularity)
-    search = _new_search(points - shift, dx, len(space.directions))
+    search = _new_search(points - shift, (low - shift, high - shift), dx, len(space.directions))
     start_search(space, search)
-    cell_line, line = np.empty(6), np.empty(6)
-    num_alive, found = len(points), 0
-    while num_alive > 1 and (nlines == 0 or found < nlines):
-        votes, count, num_alive = next_line(
-            space, search, found, num_alive, max(minvotes, 2), cell_line, line
-        )
-        if count == 0:
+    left = nlines or len(points)
+    while left > 0:
+        batch = _next_lines(space, search, max(minvotes, 2), min(left, _BATCH), shift)
+        yield from batch
+        if len(batch) < _BATCH:
             return
-        found += 1
-        yield HoughLine(
-            anchor=line[:3] + shift,
-            direction=line[3:].copy(),
-            indices=search.close[:count].copy(),
-            votes=votes,
-            cell_anchor=cell_line[:3] + shift,
-            cell_direction=cell_line[3:].copy(),
+        left -= len(batch)
+
+
+def _next_lines(
+    space: HoughSpace, search: Search, minvotes: int, limit: int, shift: FloatArray
+) -> list[HoughLine]:
+    """Find up to `limit` lines; a batch costs one call into compiled code."""
+    votes, counts = np.empty((2, limit), np.int64)
+    members = np.empty(search.progress[1], np.int64)
+    cell_lines, lines = np.empty((2, limit, 6))
+    found = find_lines(space, search, minvotes, votes, counts, members, cell_lines, lines)
+    stops = np.cumsum(counts[:found])
+    return [
+        HoughLine(
+            anchor=lines[k, :3] + shift,
+            direction=lines[k, 3:],
+            indices=members[stops[k] - counts[k] : stops[k]],
+            votes=int(votes[k]),
+            cell_anchor=cell_lines[k, :3] + shift,
+            cell_direction=cell_lines[k, 3:],
         )
+        for k in range(found)
+    ]
 
 
 @cache
@@ -149,30 +169,29 @@ def _hough_space(granularity: int) -> HoughSpace:
     return HoughSpace(directions, np.ascontiguousarray(rows, np.float32))
 
 
-def _new_search(points: FloatArray, dx: float, num_directions: int) -> Search:
+def _new_search(
+    points: FloatArray, corners: tuple[FloatArray, FloatArray], dx: float, num_directions: int
+) -> Search:
     """Lay out a search over centred points; its arrays are filled by `start_search`."""
-    corners = np.array([points.max(axis=0), points.min(axis=0)])
-    reach = float(np.sqrt((corners * corners).sum(axis=1)).max())
+    reach = max(float(np.sqrt(np.sum(corner * corner))) for corner in corners)
     num_x, count = _cells_per_side(reach, dx), len(points)
-    coordinates = np.empty((3, count), np.float32)
     return Search(
-        points=np.ascontiguousarray(points),
+        points=points,
         reach=reach,
         dx=dx,
         num_x=num_x,
-        margin=np.float32(_FLOAT32_ROUNDINGS * (num_x + 2)),
+        margin=_FLOAT32_ROUNDINGS * (num_x + 2),
+        progress=np.empty(2, np.int64),
         alive=np.empty(count, np.int64),
         shuffled=np.empty(count, np.int64),
-        xs=coordinates[0],
-        ys=coordinates[1],
-        zs=coordinates[2],
+        scaled=np.empty((3, count), np.float32),
         heap=np.empty(num_directions, np.int64),
         keys=np.empty(num_directions, np.int64),
         rounds=np.empty(num_directions, np.int64),
         exact=np.empty(num_directions, np.bool_),
         cells=np.empty(count, np.uint32),
         close=np.empty(count, np.int64),
-        grid=np.zeros(num_x * (num_x + 2) + 1, np.uint16 if count < 2**16 else np.uint32),
+        grid=np.zeros(num_x * (num_x + 2) + 1, np.uint32),
     )
 
 
