@@ -49,14 +49,14 @@ class Detector:
         left, num_lines = cropped.points, 0
         clock.lap("filter")
         for radius in sorted(self.config.filtering.radii, reverse=True):
+            if found:
+                left = self._unclaimed(cropped.points, found)
             cloud = voxel_grid(left, self.config.filtering.leaf_size(radius))
             clouds.append(cloud)
             clock.lap("filter")
             segments, lines = self._search(cloud, radius, rejections, clock)
             found += segments
             num_lines += lines
-            left = self._unclaimed(left, segments)
-            clock.lap("filter")
         T_world_sensor = scan.T_world_sensor
         in_world = [_to_world(segment, T_world_sensor, scan.stamp_ns) for segment in found]
         in_world = self._above_floor(in_world, rejections)

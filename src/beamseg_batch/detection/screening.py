@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from beamseg_batch.config import ScreeningConfig
-from beamseg_batch.detection.screening_kernels import measure_line
+from beamseg_batch.detection.screening_kernels import longest_stretch, measure_line
 from beamseg_batch.errors import ShapeError
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import Segment
@@ -84,9 +85,10 @@ def screen(
     diag_voxel = math.sqrt(3.0) * leaf_size
     max_gap = config.max_gap_factor * diag_voxel
     segment, t, furthest = _fitted(points, direction, radius)
-    has_gap = bool(np.diff(np.sort(t)).max() > max_gap)
+    run = longest_run(t, max_gap)
+    has_gap = len(run) < len(t)
     if has_gap and config.gap == "longest_run":
-        points, has_gap = points[longest_run(t, max_gap)], False
+        points, has_gap = points[run], False
         if len(points) < minvotes:
             return Rejection("too_few_points")
         segment, t, furthest = _fitted(points, direction, radius)
@@ -139,13 +141,13 @@ def _fitted(
     """Segment of the points, their positions along it, and the largest distance from it."""
     if len(points) < 2:
         raise ShapeError(f"a segment needs at least 2 points, not {len(points)}")
-    anchor, axis, scatter, t, furthest = measure_line(points, direction)
-    total = float(scatter.sum())
+    anchor, axis, scatter, t, t_min, t_max, furthest = measure_line(points, direction)
+    total = float(scatter[0] + scatter[1] + scatter[2])
     segment = Segment(
         anchor=anchor,
         direction=axis,
-        t_min=float(t.min()),
-        t_max=float(t.max()),
+        t_min=t_min,
+        t_max=t_max,
         radius=radius,
         n_points=len(points),
         pca_coeff=float(scatter[0]) / total if total > 0.0 else 0.0,
@@ -155,7 +157,7 @@ def _fitted(
     return segment, t, furthest
 
 
-def longest_run(t: FloatArray, max_gap: float) -> FloatArray:
+def longest_run(t: FloatArray, max_gap: float) -> NDArray[np.int64]:
     """Find the longest stretch along an axis without a gap.
 
     Parameters
@@ -172,13 +174,8 @@ def longest_run(t: FloatArray, max_gap: float) -> FloatArray:
         equals.
     """
     order = np.argsort(t, kind="stable")
-    ordered = t[order]
-    cuts = np.flatnonzero(np.diff(ordered) > max_gap)
-    starts = np.concatenate(([0], cuts + 1))
-    stops = np.concatenate((cuts, [len(t) - 1]))
-    best = int(np.argmax(ordered[stops] - ordered[starts]))
-    run: FloatArray = np.sort(order[starts[best] : stops[best] + 1])
-    return run
+    start, stop = longest_stretch(t[order], max_gap)
+    return np.sort(order[start:stop]) if stop - start < len(t) else np.arange(len(t))
 
 
 def min_number_of_points(length: float, radius: float, leaf_size: float) -> float:

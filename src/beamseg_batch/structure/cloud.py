@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ThinnedCloud"]
+from beamseg_batch.structure.cloud_kernels import claim_cells
 
-_AXIS_BITS = 21
-_AXIS_OFFSET = 1 << (_AXIS_BITS - 1)
+__all__ = ["ThinnedCloud"]
 
 
 class ThinnedCloud:
@@ -31,8 +30,13 @@ class ThinnedCloud:
     def __init__(self, limit: int, cell_size: float) -> None:
         self.limit = limit
         self.cell_size = cell_size
-        self._seen: set[int] = set()
+        self._forget(0)
+
+    def _forget(self, n_expected: int) -> None:
+        self._count = 0
         self._kept: list[NDArray[np.float32]] = []
+        # At most half full, so that a free slot is found soon.
+        self._slots = np.full(1 << max(int(4 * n_expected).bit_length(), 12), -1, np.int64)
 
     def add(self, points: NDArray[np.float32]) -> None:
         """Take in the points of a scan.
@@ -44,13 +48,13 @@ class ThinnedCloud:
         if self.limit == 0 or len(points) == 0:
             return
         self._keep_new(points)
-        while len(self._seen) > self.limit:
+        while self._count > self.limit:
             points = self.points()
             # The eight cells around the origin never become one.
             if self.limit < 8:
                 points = points[: self.limit]
             self.cell_size *= 2.0
-            self._seen, self._kept = set(), []
+            self._forget(len(points))
             self._keep_new(points)
 
     def points(self) -> NDArray[np.float32]:
@@ -58,19 +62,11 @@ class ThinnedCloud:
         return np.concatenate([np.empty((0, 3), np.float32), *self._kept])
 
     def _keep_new(self, points: NDArray[np.float32]) -> None:
-        fresh = []
-        for index, key in enumerate(self._keys(points).tolist()):
-            if key not in self._seen:
-                self._seen.add(key)
-                fresh.append(index)
-        if fresh:
-            self._kept.append(points[fresh])
-
-    def _keys(self, points: NDArray[np.float32]) -> NDArray[np.int64]:
-        """Pack the cell of each point into one integer; cells 2e6 apart may collide."""
-        cells = np.floor(points / np.float32(self.cell_size)).astype(np.int64) + _AXIS_OFFSET
-        cells &= (1 << _AXIS_BITS) - 1
-        keys: NDArray[np.int64] = (
-            (cells[:, 2] << (2 * _AXIS_BITS)) | (cells[:, 1] << _AXIS_BITS) | cells[:, 0]
-        )
-        return keys
+        if 2 * (self._count + len(points)) > len(self._slots):
+            kept = self.points()
+            self._forget(len(kept) + len(points))
+            self._keep_new(kept)
+        fresh = points[claim_cells(points, self.cell_size, self._slots)]
+        if len(fresh):
+            self._count += len(fresh)
+            self._kept.append(fresh)

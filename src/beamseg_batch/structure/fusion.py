@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from beamseg_batch.config import StructureConfig
-from beamseg_batch.geometry import line_parameters, normalised, project_onto_line
 from beamseg_batch.model import Segment
+from beamseg_batch.structure.kernels import blend_axes
 
 __all__ = ["fuse", "fusion_coefficient", "point_weight"]
 
@@ -83,24 +81,16 @@ def fuse(known: Segment, new: Segment, config: StructureConfig) -> Segment | Non
     """
     weight = point_weight(known.n_points, new.n_points, config.min_weight)
     share = 0.5 if config.fusion == "mean" else fusion_coefficient(known, new, weight)
-    ends = np.array([new.end_1, new.end_2])
-    feet = project_onto_line(ends, known.anchor, known.direction)
-    blended = feet + share * (ends - feet)
-    chord = blended[1] - blended[0]
-    # A new segment across the known axis has one foot only, and no say in the direction.
-    direction = normalised(chord) if np.linalg.norm(chord) > 1e-9 else known.direction
-    if direction @ known.direction < 0.0:
-        direction = -direction
-    anchor = blended[0]
-    t_known = line_parameters(np.array([known.end_1, known.end_2]), anchor, direction)
-    t_new = line_parameters(ends, anchor, direction)
-    if max(t_known.min(), t_new.min()) > min(t_known.max(), t_new.max()):
+    overlaps, anchor, direction, t_min, t_max = blend_axes(
+        known.anchor, known.direction, known.end_1, known.end_2, new.end_1, new.end_2, share
+    )
+    if not overlaps:
         return None
     return Segment(
         anchor=anchor,
         direction=direction,
-        t_min=float(min(t_known.min(), t_new.min())),
-        t_max=float(max(t_known.max(), t_new.max())),
+        t_min=t_min,
+        t_max=t_max,
         radius=known.radius,
         n_points=known.n_points + new.n_points,
         pca_coeff=known.pca_coeff * (1.0 - weight) + new.pca_coeff * weight,

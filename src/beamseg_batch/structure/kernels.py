@@ -11,7 +11,9 @@ import numpy as np
 from beamseg_batch.accelerate import kernel
 from beamseg_batch.geometry import FloatArray
 
-__all__ = ["axes_to_ends", "closest_approaches", "ends_to_axes"]
+__all__ = ["axes_to_ends", "blend_axes", "closest_approaches", "end_to_axis", "ends_to_axes"]
+
+_NO_LENGTH_M = 1e-9
 
 
 @kernel
@@ -116,3 +118,88 @@ def closest_approaches(
         ) / squared
         distance[k] = abs(dx * nx + dy * ny + dz * nz) / sine[k]
     return t_1, t_2, distance, sine
+
+
+@kernel
+def end_to_axis(
+    end_1: FloatArray, end_2: FloatArray, anchor: FloatArray, direction: FloatArray
+) -> float:
+    """Distance of the further of two ends from one axis.
+
+    Parameters
+    ----------
+    end_1, end_2, anchor : (3,) float64, metres
+    direction : (3,) float64, unit vector
+
+    Returns
+    -------
+    float, metres
+    """
+    first = _squared_distance(end_1[0], end_1[1], end_1[2], anchor, direction)
+    second = _squared_distance(end_2[0], end_2[1], end_2[2], anchor, direction)
+    return float(np.sqrt(max(first, second)))
+
+
+@kernel
+def _along(point: FloatArray, anchor: FloatArray, direction: FloatArray) -> float:
+    """Parameter of the foot of a point on a line."""
+    x, y, z = point[0] - anchor[0], point[1] - anchor[1], point[2] - anchor[2]
+    return float(x * direction[0] + y * direction[1] + z * direction[2])
+
+
+@kernel
+def blend_axes(
+    anchor: FloatArray,
+    direction: FloatArray,
+    known_1: FloatArray,
+    known_2: FloatArray,
+    new_1: FloatArray,
+    new_2: FloatArray,
+    share: float,
+) -> tuple[bool, FloatArray, FloatArray, float, float]:
+    """Axis between a known and a new segment, and the extent of both along it.
+
+    Parameters
+    ----------
+    anchor : (3,) float64, metres
+    direction : (3,) float64, unit vector
+        Axis of the known segment.
+    known_1, known_2, new_1, new_2 : (3,) float64, metres
+        The ends of both.
+    share : float
+        0 keeps the known axis, 1 takes the line through the new ends.
+
+    Returns
+    -------
+    overlaps : bool
+        Whether the two overlap along the new axis.
+    anchor, direction : (3,) float64, metres and unit vector
+        On the same side as the known direction.
+    t_min, t_max : float, metres
+        Outermost of the four ends along the new axis.
+
+    Notes
+    -----
+    The formulas of the report's fusion, see `fusion.fuse`.
+    """
+    foot_1, foot_2 = _along(new_1, anchor, direction), _along(new_2, anchor, direction)
+    blended, chord = np.empty(3), np.empty(3)
+    for axis in range(3):
+        start = anchor[axis] + foot_1 * direction[axis]
+        stop = anchor[axis] + foot_2 * direction[axis]
+        blended[axis] = start + share * (new_1[axis] - start)
+        chord[axis] = stop + share * (new_2[axis] - stop) - blended[axis]
+    length = np.sqrt(chord[0] ** 2 + chord[1] ** 2 + chord[2] ** 2)
+    side = chord[0] * direction[0] + chord[1] * direction[1] + chord[2] * direction[2]
+    for axis in range(3):
+        # A new segment across the known axis has one foot only, and no say in the direction.
+        if length <= _NO_LENGTH_M:
+            chord[axis] = direction[axis]
+        else:
+            chord[axis] /= length if side >= 0.0 else -length
+    known_a, known_b = _along(known_1, blended, chord), _along(known_2, blended, chord)
+    new_a, new_b = _along(new_1, blended, chord), _along(new_2, blended, chord)
+    known_low, known_high = min(known_a, known_b), max(known_a, known_b)
+    new_low, new_high = min(new_a, new_b), max(new_a, new_b)
+    overlaps = max(known_low, new_low) <= min(known_high, new_high)
+    return overlaps, blended, chord, min(known_low, new_low), max(known_high, new_high)

@@ -153,8 +153,10 @@ def _projection_ratio(
     limits: ThresholdConfig,
     diag_voxel: float,
 ) -> FloatArray:
-    epsilon = limits.epsilon or 2.0 * diag_voxel + segment.radius + known.radii
-    return np.where(known.radii == segment.radius, furthest / epsilon, np.inf)
+    # The radii are identical where it matters, so one threshold serves all.
+    furthest /= limits.epsilon or 2.0 * diag_voxel + 2.0 * segment.radius
+    furthest[known.radii != segment.radius] = np.inf
+    return furthest
 
 
 def similarity_by(structure: StructureConfig, filtering: FilteringConfig) -> Similarity:

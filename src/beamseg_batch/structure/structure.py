@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from beamseg_batch.config import RunConfig
-from beamseg_batch.geometry import distances_to_line
 from beamseg_batch.model import Detections, Intersection, Segment
 from beamseg_batch.structure.arrays import SegmentArrays
 from beamseg_batch.structure.fusion import fuse
 from beamseg_batch.structure.intersections import intersections_of
+from beamseg_batch.structure.kernels import end_to_axis
 from beamseg_batch.structure.similarity import similarity_by
 
 __all__ = ["Structure"]
@@ -95,8 +95,8 @@ class Structure:
     def _similar(self, new: Segment) -> list[int]:
         """Known segments similar to a new one, the most similar first."""
         scores = self._similarity.scores(new, self._arrays)
-        close = np.flatnonzero(scores <= 1.0)
-        return [int(i) for i in close[np.argsort(scores[close], kind="stable")]]
+        close = (scores <= 1.0).nonzero()[0].tolist()
+        return sorted(close, key=scores.__getitem__) if len(close) > 1 else close
 
     def _fused(self, known: Segment, new: Segment) -> Segment | None:
         """Fuse two similar segments, unless the result is no longer the known one.
@@ -107,8 +107,7 @@ class Structure:
         fused = fuse(known, new, self.config.structure)
         if fused is None:
             return None
-        ends = np.array([known.end_1, known.end_2])
-        moved = distances_to_line(ends, fused.anchor, fused.direction).max()
+        moved = end_to_axis(known.end_1, known.end_2, fused.anchor, fused.direction)
         limits, diag_voxel = self.config.structure.thresholds, self.config.filtering.diag_voxel
         epsilon = limits.epsilon or 2.0 * diag_voxel(known.radius) + known.radius + new.radius
         return fused if moved <= epsilon else None
@@ -138,9 +137,8 @@ class Structure:
         scores = self._similarity.scores(segment, self._arrays)
         reverse = self._similarity.reverse_scores(segment, self._arrays)
         best = np.minimum(scores, reverse)
-        for other in map(int, np.argsort(best, kind="stable")):
-            if best[other] > 1.0:
-                break
+        close = (best <= 1.0).nonzero()[0].tolist()
+        for other in sorted(close, key=best.__getitem__):
             if other == index:
                 continue
             pair = (self._segments[other], segment)
