@@ -16,6 +16,8 @@ __all__ = [
     "Cloud",
     "CloudHeader",
     "CloudMessage",
+    "PointLayout",
+    "point_layout",
     "points_from_cloud",
     "read_cloud",
     "read_header",
@@ -139,24 +141,77 @@ def points_from_cloud(message: CloudMessage) -> NDArray[np.floating]:
         If x, y or z is missing or not a float, or if the data is shorter than the
         sizes claim.
     """
+    return point_layout(message).points(np.asarray(message.data))
+
+
+@dataclass(frozen=True)
+class PointLayout:
+    """Where the coordinates of a cloud lie in its data.
+
+    Attributes
+    ----------
+    height, width : int
+        Pixels.
+    row_step : int
+        Bytes from row to row.
+    pixel : numpy dtype
+        One pixel, with the fields x, y and z only.
+    """
+
+    height: int
+    width: int
+    row_step: int
+    pixel: np.dtype[Any]
+
+    def points(self, data: NDArray[np.uint8]) -> NDArray[np.floating]:
+        """Coordinates in the data of a cloud, as `points_from_cloud` gives them.
+
+        Parameters
+        ----------
+        data : (M,) uint8
+            At least ``height * row_step`` bytes.
+
+        Returns
+        -------
+        (height * width, 3) float32 or float64, metres, sensor frame
+        """
+        if self.height * self.width == 0:
+            return np.empty((0, 3), dtype=np.float32)
+        strides = (self.row_step, self.pixel.itemsize)
+        pixels = np.ndarray((self.height, self.width), self.pixel, data, 0, strides)
+        points = _side_by_side(pixels, self.pixel)
+        if points is None:
+            # A signalling NaN in one field is no error when it becomes a NaN of another type.
+            with np.errstate(invalid="ignore"):
+                points = np.stack([pixels["x"], pixels["y"], pixels["z"]], axis=-1)
+        points = points.reshape(-1, 3)
+        if points.flags.aligned and points.dtype.isnative:
+            return points
+        with np.errstate(invalid="ignore"):
+            return points.astype(points.dtype.newbyteorder("="))
+
+
+def point_layout(message: CloudMessage) -> PointLayout:
+    """Where the coordinates of a cloud lie.
+
+    Parameters
+    ----------
+    message : CloudMessage
+
+    Returns
+    -------
+    PointLayout
+
+    Raises
+    ------
+    BadCloudError
+        As `points_from_cloud` does.
+    """
     height, width = int(message.height), int(message.width)
     if height * width == 0:
-        return np.empty((0, 3), dtype=np.float32)
+        return PointLayout(height, width, 0, np.dtype([]))
     row_step = _checked_row_step(message, height, width)
-    layout = _coordinate_layout(message)
-    pixels: NDArray[Any] = np.ndarray(
-        (height, width), layout, np.asarray(message.data), 0, (row_step, message.point_step)
-    )
-    points = _side_by_side(pixels, layout)
-    if points is None:
-        # A signalling NaN in one field is no error when it becomes a NaN of another type.
-        with np.errstate(invalid="ignore"):
-            points = np.stack([pixels["x"], pixels["y"], pixels["z"]], axis=-1)
-    points = points.reshape(-1, 3)
-    if points.flags.aligned and points.dtype.isnative:
-        return points
-    with np.errstate(invalid="ignore"):
-        return points.astype(points.dtype.newbyteorder("="))
+    return PointLayout(height, width, row_step, _coordinate_layout(message))
 
 
 def _checked_row_step(message: CloudMessage, height: int, width: int) -> int:

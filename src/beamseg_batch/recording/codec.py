@@ -171,6 +171,11 @@ class MessageCodec:
                 f"a message of type {msgtype} ({len(raw)} bytes) cannot be decoded: {reason}"
             ) from error
 
+    def encoding_of(self, msgtype: str) -> str:
+        """Encoding of the messages of a type; empty when the type is not known."""
+        definition = self._definitions.get(msgtype)
+        return definition.encoding if definition else ""
+
     def _decoder(self, msgtype: str) -> Callable[[bytes, str], object]:
         definition = self._definitions.get(msgtype)
         if definition is None or definition.encoding not in (ROS1, CDR):

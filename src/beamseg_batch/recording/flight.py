@@ -5,14 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from time import perf_counter
 from typing import Any, TypeVar
 
 from beamseg_batch.config import RunConfig
 from beamseg_batch.errors import RecordingError
 from beamseg_batch.model import RecordingInfo, Scan, SkippedScan, Trajectory
-from beamseg_batch.recording.clouds import CloudHeader, read_cloud, read_header
+from beamseg_batch.recording.clouds import (
+    Cloud,
+    CloudHeader,
+    CloudMessage,
+    read_cloud,
+    read_header,
+)
 from beamseg_batch.recording.codec import UndecodableMessageError
 from beamseg_batch.recording.containers import RawMessage
 from beamseg_batch.recording.frames import (
@@ -28,6 +34,7 @@ from beamseg_batch.recording.frames import (
 from beamseg_batch.recording.matching import match_pose, seconds_to_ns, within_int64
 from beamseg_batch.recording.poses import Edge, read_edges, read_tracks
 from beamseg_batch.recording.source import Recording, TopicInfo
+from beamseg_batch.recording.templates import CloudTemplate, cloud_template
 from beamseg_batch.recording.topics import CLOUDS, POSES, TF_TYPES, TopicChoice, choose_topic
 
 __all__ = [
@@ -110,14 +117,17 @@ class Flight:
             If the file cannot be read any further.
         """
         start = perf_counter()
+        reader = _CloudReader(self.recording)
         for index, raw in enumerate(self.recording.topic_messages(self.clouds.topic)):
             # The clock stands while the caller works on a scan.
-            yield self._scan(index, raw, start)
+            yield self._scan(index, raw, reader, start)
             start = perf_counter()
 
-    def _scan(self, index: int, raw: RawMessage, start: float) -> Scan | SkippedScan:
+    def _scan(
+        self, index: int, raw: RawMessage, reader: _CloudReader, start: float
+    ) -> Scan | SkippedScan:
         try:
-            cloud = self.recording.read(raw, read_cloud)
+            cloud = reader.read(raw)
         except UndecodableMessageError as error:
             return self._skipped(index, raw, raw.log_time_ns, "undecodable_message", str(error))
         stamp_ns = cloud_stamp_ns(cloud.header, raw, self.config)
@@ -154,6 +164,23 @@ class Flight:
         # Log time: header stamps may come from another clock than the recording's span.
         where = f"cloud at {self.recording.seconds(raw.log_time_ns):.3f} s"
         return SkippedScan(index, stamp_ns, reason, f"{where}: {detail}")
+
+
+class _CloudReader:
+    """Reads clouds; one laid out like an earlier one is not decoded again."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        self._template: CloudTemplate | None = None
+
+    def read(self, raw: RawMessage) -> Cloud:
+        cloud = self._template.read(raw.data) if self._template else None
+        return cloud or self._recording.read(raw, partial(self._decoded, raw))
+
+    def _decoded(self, raw: RawMessage, message: CloudMessage) -> Cloud:
+        encoding = self._recording.encoding_of(raw.msgtype)
+        self._template = cloud_template(raw.data, message, encoding)
+        return read_cloud(message)
 
 
 def open_flight(recording: Recording, config: RunConfig) -> Flight:

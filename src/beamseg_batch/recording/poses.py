@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import Trajectory
 from beamseg_batch.recording.codec import UndecodableMessageError
 from beamseg_batch.recording.containers import RawMessage
 from beamseg_batch.recording.matching import within_int64
 from beamseg_batch.recording.source import Recording, TopicInfo
+from beamseg_batch.recording.templates import PoseTemplate, pose_values_at
 
 __all__ = [
     "Edge",
@@ -27,6 +30,8 @@ __all__ = [
 ]
 
 _SHORTEST_QUATERNION = 1e-9
+
+_BATCH = 4096  # messages whose bytes are in memory at once
 
 Edge: TypeAlias = tuple[str, str]
 """Parent frame and child frame; the child is empty when the message names none."""
@@ -151,6 +156,17 @@ class PoseTrack:
         self.stamps_ns.append(within_int64(record.stamp_ns or log_time_ns))
         self.values.extend(record.values)
 
+    def add_many(
+        self, stamps_ns: NDArray[np.int64], values: FloatArray, log_times_ns: Sequence[int]
+    ) -> None:
+        """Append poses in order of the file."""
+        unset = stamps_ns == 0
+        if unset.any():
+            self.n_log_times += int(unset.sum())
+            stamps_ns = np.where(unset, np.array(log_times_ns, np.int64), stamps_ns)
+        self.stamps_ns.frombytes(stamps_ns.tobytes())
+        self.values.frombytes(values.tobytes())
+
     def trajectory(self) -> tuple[Trajectory, list[str]]:
         """Poses that can be used, in order of their stamps.
 
@@ -236,20 +252,65 @@ def read_tracks(
     """
     tracks: dict[Edge, PoseTrack] = {}
     undecodable: list[str] = []
-    for log_time_ns, records in _parsed(recording, topic, undecodable):
-        for record in records:
-            if wanted is not None and record.edge != wanted:
-                continue
-            track = tracks.get(record.edge)
-            if track is None:
-                track = tracks[record.edge] = PoseTrack(record.edge)
-            track.add(record, log_time_ns)
+    messages = recording.topic_messages(topic)
+    template: PoseTemplate | None = None
+    while batch := list(islice(messages, _BATCH)):
+        template = template or _template(recording, batch[0])
+        if template is None or not _add_batch(tracks, recording, template, batch):
+            _add_each(tracks, recording, batch, wanted, undecodable)
     if not undecodable:
         return tracks, []
     plural = "" if len(undecodable) == 1 else "s"
     return tracks, [
         f"{len(undecodable)} message{plural} of {topic.name} left out: {undecodable[0]}"
     ]
+
+
+def _template(recording: Recording, raw: RawMessage) -> PoseTemplate | None:
+    """Make a template of a message, if its numbers lie where they are looked for."""
+    encoding = recording.encoding_of(raw.msgtype)
+    values_at = pose_values_at(raw.data, raw.msgtype, encoding)
+    if values_at is None:
+        return None
+    template = PoseTemplate(raw.data, values_at)
+    try:
+        (record,) = pose_parser(recording, raw.msgtype)(raw)
+    except UndecodableMessageError:
+        return None
+    parsed = template.parse([raw.data])
+    # A recording may define a type in its own way.
+    is_true = parsed and parsed[0][0] == record.stamp_ns and tuple(parsed[1][0]) == record.values
+    return template if is_true else None
+
+
+def _add_batch(
+    tracks: dict[Edge, PoseTrack],
+    recording: Recording,
+    template: PoseTemplate,
+    batch: Sequence[RawMessage],
+) -> bool:
+    """Add messages that differ in stamp and numbers alone; False when they differ in more."""
+    parsed = template.parse([raw.data for raw in batch])
+    if parsed is None:
+        return False
+    (record,) = pose_parser(recording, batch[0].msgtype)(batch[0])
+    track = tracks.setdefault(record.edge, PoseTrack(record.edge))
+    track.add_many(*parsed, [raw.log_time_ns for raw in batch])
+    return True
+
+
+def _add_each(
+    tracks: dict[Edge, PoseTrack],
+    recording: Recording,
+    batch: Sequence[RawMessage],
+    wanted: Edge | None,
+    undecodable: list[str],
+) -> None:
+    for log_time_ns, records in _parsed(recording, batch, undecodable):
+        for record in records:
+            if wanted is None or record.edge == wanted:
+                track = tracks.setdefault(record.edge, PoseTrack(record.edge))
+                track.add(record, log_time_ns)
 
 
 def read_edges(recording: Recording, topic: TopicInfo) -> list[Edge]:
@@ -271,16 +332,15 @@ def read_edges(recording: Recording, topic: TopicInfo) -> list[Edge]:
     RecordingError
         If the file cannot be read to its end.
     """
-    parsed = _parsed(recording, topic, [])
+    parsed = _parsed(recording, recording.topic_messages(topic), [])
     return list(dict.fromkeys(record.edge for _, records in parsed for record in records))
 
 
 def _parsed(
-    recording: Recording, topic: TopicInfo, undecodable: list[str]
+    recording: Recording, messages: Iterable[RawMessage], undecodable: list[str]
 ) -> Iterator[tuple[int, Collection[PoseRecord]]]:
-    parse = pose_parser(recording, topic.msgtype)
-    for raw in recording.topic_messages(topic):
+    for raw in messages:
         try:
-            yield raw.log_time_ns, parse(raw)
+            yield raw.log_time_ns, pose_parser(recording, raw.msgtype)(raw)
         except UndecodableMessageError as error:
             undecodable.append(str(error))

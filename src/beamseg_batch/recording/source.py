@@ -195,6 +195,10 @@ class Recording:
         """
         return self._codec.decode(raw, msgtype)
 
+    def encoding_of(self, msgtype: str) -> str:
+        """Encoding of the messages of a type, such as ``cdr``."""
+        return self._codec.encoding_of(msgtype)
+
     def read(self, raw: RawMessage, extract: Callable[[Any], T]) -> T:
         """Decode a message and take from it what is needed.
 
