@@ -2,9 +2,9 @@
 
 The method in three lines::
 
-    from beamseg_batch import load_config, open_flight, process_flight
-    config = load_config("precise")
-    result = process_flight(open_flight(["flight.mcap"], config), config)
+    from beamseg_batch import load_config, open_recording, process_flight, write_run
+    result = process_flight(open_recording("flight.mcap"), load_config("precise"))
+    write_run(result, Path("out"))
 
 Importing this package costs nothing: each name is loaded when it is first used.
 """
