@@ -15,7 +15,7 @@ help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 demo: $(VENV)/.installed  ## Process the sample flight into demo-output/
-	@$(BIN)/beamseg run data/samples/arena.mcap -o demo-output --overwrite
+	@$(BIN)/beamseg run data/samples/arena.mcap --extrinsic 0.071,0.011,0.04 -o demo-output --overwrite
 
 test: $(VENV)/.installed-dev  ## Run the tests
 	@$(BIN)/python -m pytest

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -35,6 +37,8 @@ INFO = RecordingInfo(
     T_body_sensor=RigidTransform.identity(),
     extrinsic_source="identity",
 )
+
+SAMPLE = Path(__file__).parents[1] / "data" / "samples" / "arena.mcap"
 
 
 @dataclass
@@ -281,3 +285,36 @@ def test_process_flight__damage_before_the_first_scan_is_an_error(run, scans):
 def test_process_flight__other_errors_are_not_swallowed(run, scans):
     with pytest.raises(ZeroDivisionError):
         run([*scans[:2], ZeroDivisionError("a bug")])
+
+
+AFTER_WARM_UP = """
+import sys
+from beamseg_batch import load_config, open_recording, process_flight
+from beamseg_batch.pipeline import _warm_up
+
+def compiled():
+    found = {}
+    for name, module in list(sys.modules.items()):
+        if name.startswith("beamseg_batch") and name.endswith("kernels"):
+            for key, value in vars(module).items():
+                if hasattr(value, "signatures"):
+                    found[name, key] = len(value.signatures)
+    return found
+
+_warm_up()
+before = compiled()
+process_flight(open_recording(sys.argv[1]), load_config("report"))
+assert compiled() == before, {k: v for k, v in compiled().items() if v != before.get(k)}
+assert sum(before.values()) >= 12
+"""
+
+
+def test_warm_up__leaves_nothing_to_compile():
+    """Otherwise the time of the first scans would be that of the compiler."""
+    done = subprocess.run(
+        [sys.executable, "-c", AFTER_WARM_UP, str(SAMPLE)],
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr

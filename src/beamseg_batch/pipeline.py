@@ -7,10 +7,13 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Protocol
 
+import numpy as np
+
 from beamseg_batch.config import RunConfig
 from beamseg_batch.detection import Detector
 from beamseg_batch.errors import NoScansError, RecordingError
-from beamseg_batch.model import Detections, FlightResult, ScanRecord, SkippedScan
+from beamseg_batch.geometry import RigidTransform
+from beamseg_batch.model import Detections, FlightResult, Scan, ScanRecord, SkippedScan
 from beamseg_batch.recording import Flight, Recording, open_flight
 from beamseg_batch.structure import Structure, ThinnedCloud
 
@@ -74,6 +77,7 @@ def process_flight(
     """
     progress = progress or _NobodyWatches()
     flight = open_flight(recording, config)
+    _warm_up()
     detect = Detector(config)
     structure = Structure(config)
     log = _FlightLog(config)
@@ -95,8 +99,41 @@ def process_flight(
         if not log.scans:
             raise
         log.stop(str(error))
-    log.check_used(flight, config)
+    log.check_used(flight)
     return log.result(flight, structure)
+
+
+def _warm_up() -> None:
+    """Load or compile every kernel, so that no scan's time contains it.
+
+    A made-up scan of two beams that cross is detected and fused twice; nothing of it is
+    kept, and no value of the user's configuration is needed.
+    """
+    along = np.linspace(-0.6, 0.6, 80)
+    ahead, none = np.ones_like(along), np.zeros_like(along)
+    beams = np.concatenate(
+        [np.stack([ahead, none, along], axis=1), np.stack([ahead, along, none], axis=1)]
+    )
+    points = beams.astype(np.float32)
+    points.flags.writeable = False  # as those of a recording, which are compiled for apart
+    T_world_body = RigidTransform(np.eye(3), np.array([0.0, 0.0, 2.0]))
+    scan = Scan(
+        index=0,
+        stamp_ns=0,
+        pose_stamp_ns=0,
+        T_world_body=T_world_body,
+        T_body_sensor=RigidTransform.identity(),
+        points=points,
+        width=len(beams),
+        height=1,
+    )
+    config = RunConfig()
+    detect, structure = Detector(config), Structure(config)
+    for _ in range(2):
+        detections = detect(scan)
+        structure.update(detections)
+    structure.intersections()
+    ThinnedCloud(len(beams), 0.1).add(detections.cloud)
 
 
 class _FlightLog:
@@ -149,21 +186,23 @@ class _FlightLog:
         self.interrupted = True
         self.warnings.append(reason)
 
-    def check_used(self, flight: Flight, config: RunConfig) -> None:
+    def check_used(self, flight: Flight) -> None:
         """Refuse a flight of which nothing could be used, saying what stood in the way."""
+        if self.interrupted:
+            return
         topic = f"{flight.recording.name}: {flight.info.cloud_topic}"
-        if self.n_clouds == 0 and not self.interrupted:
+        if self.n_clouds == 0:
             raise NoScansError(f"{topic}: holds no cloud")
-        if not self.scans and not self.interrupted:
+        if not self.scans:
             reasons = ", ".join(f"{n} {reason}" for reason, n in self.skipped.most_common())
             first = f"; the first: {self.first_skip.detail}" if self.first_skip else ""
             raise NoScansError(
                 f"{topic}: none of {self.n_clouds} clouds is usable: {reasons}{first}"
             )
-        if self.scans and self.n_returns == 0 and not self.interrupted:
+        if self.n_returns == 0:
             raise NoScansError(f"{topic}: none of {len(self.scans)} clouds holds a return")
-        if self.scans and self.n_window == 0 and not self.interrupted:
-            window = config.filtering.window
+        if self.n_window == 0:
+            window = self.config.filtering.window
             raise NoScansError(
                 f"{topic}: none of the {self.n_returns} points in {len(self.scans)} scans lies in "
                 f"the window x {list(window.x)}, y {list(window.y)}, z {list(window.z)} m "

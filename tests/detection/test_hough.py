@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from beamseg_batch.detection import iterative_hough
 from beamseg_batch.detection.directions import hemisphere_directions
-from beamseg_batch.detection.hough_kernels import fit_line
+from beamseg_batch.detection.line_fit_kernels import fit_line
 from beamseg_batch.errors import ConfigError, ShapeError
 from tests import naive
 from tests.detection import clouds

@@ -51,3 +51,9 @@ def fly(tmp_path) -> Callable[..., Flight]:
         return open_flight(open_recording(path), config or RunConfig())
 
     return open_written
+
+
+UNPLACED_CAMERA = (
+    "the recording does not say where the camera sits on the drone: it is taken to sit at its "
+    "origin; see sensor.extrinsic"
+)

@@ -20,6 +20,11 @@ from beamseg_batch.recording.codec import (
 from tests.recording.conftest import some_clouds, some_poses
 from tests.recordings import STORES, cloud_message, pose_message, write_recording
 
+
+def whole(message):
+    return message
+
+
 CLOUD = "sensor_msgs/msg/PointCloud2"
 
 
@@ -47,13 +52,13 @@ def test_decode__falls_back_on_the_common_definitions(encoding, language, text):
     store = STORES[encoding]
     serialize = store.serialize_ros1 if encoding == ROS1 else store.serialize_cdr
     codec = MessageCodec({CLOUD: Definition(encoding, language, text)})
-    assert codec.decode(bytes(serialize(content, CLOUD)), CLOUD).width == 1
+    assert codec.read(bytes(serialize(content, CLOUD)), CLOUD, whole).width == 1
 
 
 def test_read__a_definition_without_the_field_is_an_error_of_the_message():
     raw = b"\x00\x01\x00\x00" + bytes(4)
     codec = MessageCodec({CLOUD: Definition(CDR, "msg", "uint32 something")})
-    assert codec.decode(raw, CLOUD).something == 0
+    assert codec.read(raw, CLOUD, whole).something == 0
     with pytest.raises(UndecodableMessageError, match="no attribute 'width'"):
         codec.read(raw, CLOUD, lambda message: message.width)
 
@@ -64,7 +69,7 @@ def test_decode__idl_definition():
     raw = b"\x00\x01\x00\x00" + bytes.fromhex("0000803f00000040")
     for definition in (text, bundle):
         codec = MessageCodec({"demo/msg/Pair": Definition(CDR, "idl", definition)})
-        pair = codec.decode(raw, "demo/msg/Pair")
+        pair = codec.read(raw, "demo/msg/Pair", whole)
         assert (pair.x, pair.y) == (1.0, 2.0)
 
 
@@ -73,7 +78,7 @@ def test_decode__ros1_transforms_have_a_default():
     for msgtype in ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"):
         content = pose_message("bag", msgtype, 5, (1, 2, 3), (0, 0, 0, 1))
         raw = bytes(store.serialize_ros1(content, msgtype))
-        decoded = MessageCodec({msgtype: Definition(ROS1)}).decode(raw, msgtype)
+        decoded = MessageCodec({msgtype: Definition(ROS1)}).read(raw, msgtype, whole)
         assert decoded.transforms[0].transform.translation.y == 2.0
 
 
@@ -81,17 +86,17 @@ def test_decode__ros1_transforms_have_a_default():
 def test_decode__raise_on_bytes_that_do_not_fit(raw):
     codec = MessageCodec({CLOUD: Definition(CDR)})
     with pytest.raises(UndecodableMessageError, match=rf"type {CLOUD} \({len(raw)} bytes\)"):
-        codec.decode(raw, CLOUD)
+        codec.read(raw, CLOUD, whole)
 
 
 def test_decode__raise_on_unknown_type_or_encoding():
     codec = MessageCodec({"a/msg/B": Definition("protobuf"), "a/msg/C": Definition(CDR)})
     with pytest.raises(UndecodableMessageError, match="a/msg/B in protobuf"):
-        codec.decode(b"", "a/msg/B")
+        codec.read(b"", "a/msg/B", whole)
     with pytest.raises(UndecodableMessageError, match="a/msg/C"):
-        codec.decode(b"\x00\x01\x00\x00", "a/msg/C")
+        codec.read(b"\x00\x01\x00\x00", "a/msg/C", whole)
     with pytest.raises(UndecodableMessageError, match="unknown encoding"):
-        codec.decode(b"", "a/msg/D")
+        codec.read(b"", "a/msg/D", whole)
 
 
 def test_open_recording__old_db3_without_definitions(tmp_path):

@@ -82,10 +82,9 @@ def test_messages__are_raw_and_in_order_of_log_time(tmp_path, kind):
     messages = list(recording.messages(["/tof_pc", "/mavros/local_position/pose"]))
     times = [message.log_time_ns for message in messages]
     assert times == sorted(times)
-    topic, _, msgtype, data = next(m for m in messages if m.topic == "/tof_pc")
-    assert isinstance(data, bytes)
-    assert recording.decode(data, msgtype).header.frame_id == "tof"
-    assert topic == "/tof_pc"
+    cloud = next(message for message in messages if message.topic == "/tof_pc")
+    assert isinstance(cloud.data, bytes)
+    assert recording.read(cloud, lambda message: message.header.frame_id) == "tof"
     assert list(recording.messages(["/nothing"])) == []
 
 
@@ -168,10 +167,11 @@ def test_open_recording__mcap_with_schemas_of_other_kinds(tmp_path):
     recording = open_recording(path)
     assert recording.container == "MCAP (ROS 2, json)"
     assert [topic.msgtype for topic in recording.topics] == ["status", msgtype]
-    ((_, _, _, data),) = recording.messages(["/tof_pc"])
-    assert recording.decode(data, msgtype).width == 1
+    (cloud,) = recording.messages(["/tof_pc"])
+    assert recording.read(cloud, lambda message: message.width) == 1
+    (status,) = recording.messages(["/status"])
     with pytest.raises(RecordingError, match="status in json cannot be decoded"):
-        recording.decode(b"{}", "status")
+        recording.read(status, lambda message: message)
 
 
 @pytest.mark.parametrize("kind", ["mcap", "mcap-ros1"])

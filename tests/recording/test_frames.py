@@ -8,7 +8,7 @@ import pytest
 from beamseg_batch.errors import RecordingError
 from beamseg_batch.geometry import RigidTransform, matrix_from_rpy
 from beamseg_batch.recording.frames import TransformTree
-from tests.recording.conftest import MS, configured, some_poses
+from tests.recording.conftest import MS, UNPLACED_CAMERA, configured, some_poses
 from tests.recordings import START_NS, Message, pose_message
 
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
@@ -132,6 +132,7 @@ def test_open_flight__configured_world_frame_is_a_name(fly):
     assert info.world_frame == "hall"
     assert info.notes == (
         "the poses call the world frame 'map', the configuration 'hall'; it is only a name",
+        UNPLACED_CAMERA,
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from beamseg_batch.errors import RecordingError
-from tests.recording.conftest import MS, configured, some_clouds, some_poses
+from tests.recording.conftest import MS, UNPLACED_CAMERA, configured, some_clouds, some_poses
 from tests.recordings import START_NS, Message, pose_message, write_recording
 
 TYPES = [
@@ -67,7 +67,10 @@ def test_open_flight__of_repeated_stamps_the_first_counts(fly):
     poses = [(START_NS, (1, 0, 0), IDENTITY), (START_NS, (2, 0, 0), IDENTITY)]
     flight = fly(poses=poses)
     np.testing.assert_array_equal(flight.trajectory.positions, [[1, 0, 0]])
-    assert flight.info.notes == ("1 of 2 poses dropped: their stamps repeat another's",)
+    assert flight.info.notes == (
+        "1 of 2 poses dropped: their stamps repeat another's",
+        UNPLACED_CAMERA,
+    )
 
 
 def test_open_flight__quaternions_become_unit(fly):

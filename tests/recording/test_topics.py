@@ -7,7 +7,7 @@ import pytest
 from beamseg_batch.errors import AmbiguousTopicError, TopicError
 from beamseg_batch.recording import open_recording
 from beamseg_batch.recording.topics import CLOUDS, POSES, choose_topic
-from tests.recording.conftest import some_clouds, some_poses
+from tests.recording.conftest import UNPLACED_CAMERA, some_clouds, some_poses
 from tests.recordings import (
     START_NS,
     Message,
@@ -122,7 +122,7 @@ def test_choose_topic__static_tf_never(recorded):
 def test_open_flight__defaults(fly):
     info = fly().info
     assert (info.cloud_topic, info.pose_topic) == ("/tof_pc", "/mavros/local_position/pose")
-    assert info.notes == ()
+    assert info.notes == (UNPLACED_CAMERA,)
 
 
 def test_write_recording__names_of_topics(tmp_path):

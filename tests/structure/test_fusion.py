@@ -163,12 +163,3 @@ def test_fuse__new_segment_without_length(config):
     fused = fuse(known, point, config)
     np.testing.assert_allclose(fused.direction, [1, 0, 0], atol=1e-12)
     assert fused.length == pytest.approx(2.0)
-
-
-def test_fuse__two_pieces_in_one_scan_are_one_sighting():
-    one, two = (
-        between([0, 0, 0], [1, 0, 0], stamp_ns=7),
-        between([0.9, 0, 0], [2, 0, 0], stamp_ns=7),
-    )
-    assert fuse(one, two, WEIGHTED).n_scans == 1
-    assert fuse(one, replace(two, last_seen_ns=8), WEIGHTED).n_scans == 2

@@ -287,6 +287,14 @@ def test_update__n_scans_counts_scans():
     assert segment.n_scans == 2
 
 
+def test_update__n_scans_of_merged_segments_is_that_of_the_flight():
+    """Two pieces seen together in ten scans, bridged in the eleventh."""
+    pieces = [between([0, 0, 1], [1, 0, 1]), between([2, 0, 1], [3, 0, 1])]
+    structure = build(*[pieces] * 10, [between([0.8, 0, 1], [2.2, 0, 1])])
+    (segment,) = structure.segments()
+    assert segment.n_scans == 11
+
+
 def test_update__same_scans_give_the_same_structure():
     def run():
         rng = np.random.default_rng(12)

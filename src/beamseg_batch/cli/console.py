@@ -17,7 +17,19 @@ from beamseg_batch.errors import OutputError
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
 
-__all__ = ["ScanProgress", "complain", "note", "say", "stop_on_interrupt", "warn"]
+__all__ = [
+    "FAILED",
+    "INTERRUPTED",
+    "ScanProgress",
+    "complain",
+    "note",
+    "say",
+    "stop_on_interrupt",
+    "warn",
+]
+
+FAILED = 1
+INTERRUPTED = 130
 
 
 def say(text: str) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from beamseg_batch.cli.console import complain, note
+from beamseg_batch.cli.console import FAILED, INTERRUPTED, complain, note
 from beamseg_batch.errors import BeamsegError
 
 __all__ = ["beamseg", "main"]
@@ -20,9 +20,6 @@ COMMANDS: Mapping[str, str] = {
     "config": "Show, check and document the configuration.",
 }
 """Commands, in the order of `--help`, with the line it shows for each."""
-
-FAILED = 1
-INTERRUPTED = 130
 
 
 class _Commands(click.Group):
@@ -96,7 +93,7 @@ def beamseg() -> None:
 
     \b
         beamseg info flight.mcap      # is everything there?
-        beamseg run flight.mcap       # beams, joints and a report
+        beamseg run flight.mcap       # beams, intersections and a report
 
     Exit codes: 0 done, 1 the data cannot be processed, 2 wrong usage or configuration,
     130 interrupted.

@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from beamseg_batch.cli.console import ScanProgress, note, say, stop_on_interrupt, warn
+from beamseg_batch.cli.console import (
+    FAILED,
+    INTERRUPTED,
+    ScanProgress,
+    note,
+    say,
+    stop_on_interrupt,
+    warn,
+)
 from beamseg_batch.cli.options import (
     ConfigOptions,
     config_options,
@@ -23,9 +31,6 @@ if TYPE_CHECKING:
     from beamseg_batch.outputs import WrittenRun
 
 __all__ = ["command"]
-
-INTERRUPTED = 130
-FAILED = 1
 
 
 @click.command("run")

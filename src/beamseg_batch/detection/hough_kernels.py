@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamseg_batch.accelerate import kernel
+from beamseg_batch.detection.line_fit_kernels import fit_line
 from beamseg_batch.geometry import FloatArray
 
 __all__ = [
@@ -21,7 +22,6 @@ __all__ = [
     "Search",
     "bounding_box",
     "find_lines",
-    "fit_line",
     "grid_coordinates",
     "start_search",
 ]
@@ -424,96 +424,6 @@ def _collect(
             close[count] = alive[k]
             count += 1
     return count
-
-
-@kernel
-def _rotate(matrix: FloatArray, vectors: FloatArray, p: int, q: int) -> None:
-    """Zero one off-diagonal element of a symmetric 3x3 matrix by a plane rotation."""
-    if matrix[p, q] == 0.0:
-        return
-    theta = (matrix[q, q] - matrix[p, p]) / (2.0 * matrix[p, q])
-    tangent = 1.0 / (abs(theta) + np.sqrt(theta * theta + 1.0))
-    if theta < 0.0:
-        tangent = -tangent
-    cosine = 1.0 / np.sqrt(tangent * tangent + 1.0)
-    sine = tangent * cosine
-    for k in range(3):
-        matrix[k, p], matrix[k, q] = (
-            cosine * matrix[k, p] - sine * matrix[k, q],
-            sine * matrix[k, p] + cosine * matrix[k, q],
-        )
-    for k in range(3):
-        matrix[p, k], matrix[q, k] = (
-            cosine * matrix[p, k] - sine * matrix[q, k],
-            sine * matrix[p, k] + cosine * matrix[q, k],
-        )
-        vectors[k, p], vectors[k, q] = (
-            cosine * vectors[k, p] - sine * vectors[k, q],
-            sine * vectors[k, p] + cosine * vectors[k, q],
-        )
-
-
-@kernel
-def fit_line(
-    points: FloatArray, indices: NDArray[np.int64], count: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Fit a line by orthogonal least squares.
-
-    Parameters
-    ----------
-    points : (N, 3) float64, metres
-    indices : (M,) int64
-        The points to fit; the first `count` count.
-    count : int
-        At least 1.
-
-    Returns
-    -------
-    anchor : (3,) float64, metres
-        Mean of the points.
-    direction : (3,) float64, unit vector
-        Eigenvector of the scatter matrix to its largest eigenvalue.
-    eigenvalues : (3,) float64, square metres
-        Of the scatter matrix (not divided by the number of points), largest first.
-
-    Notes
-    -----
-    Sums run in the order of the points. The eigenvalues come from cyclic Jacobi
-    rotations (Golub and Van Loan, section 8.5), which for 3x3 need at most six sweeps
-    and give the same bits on every machine, which a LAPACK does not.
-    """
-    anchor, scatter, vectors = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
-    for axis in range(3):
-        for k in range(count):
-            anchor[axis] += points[indices[k], axis]
-        anchor[axis] /= count
-        vectors[axis, axis] = 1.0
-    for k in range(count):
-        for row in range(3):
-            for column in range(3):
-                scatter[row, column] += (points[indices[k], row] - anchor[row]) * (
-                    points[indices[k], column] - anchor[column]
-                )
-    for _ in range(12):
-        if scatter[0, 1] == 0.0 and scatter[0, 2] == 0.0 and scatter[1, 2] == 0.0:
-            break
-        _rotate(scatter, vectors, 0, 1)
-        _rotate(scatter, vectors, 0, 2)
-        _rotate(scatter, vectors, 1, 2)
-    first, second, third = 0, 1, 2
-    if scatter[second, second] > scatter[first, first]:
-        first, second = second, first
-    if scatter[third, third] > scatter[second, second]:
-        second, third = third, second
-    if scatter[second, second] > scatter[first, first]:
-        first, second = second, first
-    direction, eigenvalues = np.empty(3), np.empty(3)
-    length = np.sqrt(vectors[0, first] ** 2 + vectors[1, first] ** 2 + vectors[2, first] ** 2)
-    for axis in range(3):
-        direction[axis] = vectors[axis, first] / length
-    eigenvalues[0], eigenvalues[1] = scatter[first, first], scatter[second, second]
-    eigenvalues[2] = scatter[third, third]
-    return anchor, direction, eigenvalues
 
 
 @kernel

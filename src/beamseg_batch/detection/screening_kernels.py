@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from beamseg_batch.accelerate import kernel
-from beamseg_batch.detection.hough_kernels import fit_line
+from beamseg_batch.detection.line_fit_kernels import fit_line
 from beamseg_batch.geometry import FloatArray
 
 __all__ = ["longest_stretch", "measure_line"]

@@ -115,27 +115,6 @@ class MessageCodec:
         self._definitions = definitions
         self._decoders: dict[str, Callable[[bytes, str], object]] = {}
 
-    def decode(self, raw: bytes, msgtype: str) -> Any:
-        """Turn the bytes of a message into an object with its fields.
-
-        Parameters
-        ----------
-        raw : bytes
-        msgtype : str
-            Named as ROS 2 does.
-
-        Returns
-        -------
-        object
-            One attribute per field; arrays are read-only views of `raw`.
-
-        Raises
-        ------
-        UndecodableMessageError
-            If the type is not known or the bytes do not fit it.
-        """
-        return self.read(raw, msgtype, _whole)
-
     def read(self, raw: bytes, msgtype: str, extract: Callable[[Any], T]) -> T:
         """Decode a message and take from it what is needed.
 
@@ -183,10 +162,6 @@ class MessageCodec:
             raise UndecodableMessageError(f"{msgtype} in {encoding} cannot be decoded")
         store = _typestore(msgtype, definition)
         return store.deserialize_ros1 if definition.encoding == ROS1 else store.deserialize_cdr
-
-
-def _whole(message: Any) -> Any:
-    return message
 
 
 def _typestore(msgtype: str, definition: Definition) -> Typestore:

@@ -203,7 +203,11 @@ def find_extrinsic(config: SensorConfig, tree: TransformTree, roles: FrameRoles)
         translation = np.array(config.extrinsic.translation, dtype=np.float64)
         return Extrinsic(RigidTransform(rotation, translation), "configuration")
     if roles.sensor == roles.body:
-        return Extrinsic(RigidTransform.identity(), "identity")
+        note = (
+            "the recording does not say where the camera sits on the drone: it is taken to sit "
+            "at its origin; see sensor.extrinsic"
+        )
+        return Extrinsic(RigidTransform.identity(), "identity", (note,))
     linked = tree.transform(roles.body, roles.sensor)
     if linked is None:
         note = (

@@ -174,27 +174,6 @@ class Recording:
         """
         return (raw for raw in self.messages([topic.name]) if raw.msgtype == topic.msgtype)
 
-    def decode(self, raw: bytes, msgtype: str) -> Any:
-        """Turn the bytes of a message into an object with its fields.
-
-        Parameters
-        ----------
-        raw : bytes
-        msgtype : str
-            As in `RawMessage`.
-
-        Returns
-        -------
-        object
-            One attribute per field; arrays are read-only views of `raw`.
-
-        Raises
-        ------
-        UndecodableMessageError
-            If the bytes do not fit the type.
-        """
-        return self._codec.decode(raw, msgtype)
-
     def encoding_of(self, msgtype: str) -> str:
         """Encoding of the messages of a type, such as ``cdr``."""
         return self._codec.encoding_of(msgtype)

@@ -77,7 +77,7 @@ def fuse(known: Segment, new: Segment, config: StructureConfig) -> Segment | Non
 
     The direction is normalised, and the ends are the outermost of the four ends projected
     onto the new axis. The points are dropped: their number, span and variance are kept.
-    Two pieces seen in one scan count as one scan.
+    Scans add up, too: whether two sightings are of one scan, the structure knows.
     """
     weight = point_weight(known.n_points, new.n_points, config.min_weight)
     share = 0.5 if config.fusion == "mean" else fusion_coefficient(known, new, weight)
@@ -95,7 +95,7 @@ def fuse(known: Segment, new: Segment, config: StructureConfig) -> Segment | Non
         n_points=known.n_points + new.n_points,
         pca_coeff=known.pca_coeff * (1.0 - weight) + new.pca_coeff * weight,
         pca_eig=known.pca_eig * (1.0 - weight) + new.pca_eig * weight,
-        n_scans=known.n_scans + new.n_scans - (known.last_seen_ns == new.last_seen_ns),
+        n_scans=known.n_scans + new.n_scans,
         first_seen_ns=min(known.first_seen_ns, new.first_seen_ns),
         last_seen_ns=max(known.last_seen_ns, new.last_seen_ns),
     )

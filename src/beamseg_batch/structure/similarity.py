@@ -22,6 +22,7 @@ __all__ = [
     "Similarity",
     "midpoint_scores",
     "parameter_scores",
+    "projection_epsilon",
     "projection_scores",
     "reverse_projection_scores",
     "similarity_by",
@@ -99,6 +100,28 @@ def midpoint_scores(new: Segment, known: SegmentArrays, limits: ThresholdConfig)
     return np.where(cosine >= limits.T_d, middle / limits.T_p, np.inf)
 
 
+def projection_epsilon(radius: float, limits: ThresholdConfig, diag_voxel: float) -> float:
+    """Largest distance of an end from the other axis, for two segments of one radius.
+
+    Parameters
+    ----------
+    radius : float, metres
+    limits : ThresholdConfig
+        ``epsilon`` is used when it is set.
+    diag_voxel : float, metres
+        For that radius.
+
+    Returns
+    -------
+    float, metres
+
+    Notes
+    -----
+    ``epsilon = 2 * diag_voxel + r1 + r2``, solution 3 of the report's section 3.2.6.
+    """
+    return limits.epsilon or 2.0 * diag_voxel + 2.0 * radius
+
+
 def projection_scores(
     new: Segment, known: SegmentArrays, limits: ThresholdConfig, diag_voxel: float
 ) -> FloatArray:
@@ -154,7 +177,7 @@ def _projection_ratio(
     diag_voxel: float,
 ) -> FloatArray:
     # The radii are identical where it matters, so one threshold serves all.
-    furthest /= limits.epsilon or 2.0 * diag_voxel + 2.0 * segment.radius
+    furthest /= projection_epsilon(segment.radius, limits, diag_voxel)
     furthest[known.radii != segment.radius] = np.inf
     return furthest
 

@@ -13,7 +13,7 @@ from beamseg_batch.structure.arrays import SegmentArrays
 from beamseg_batch.structure.fusion import fuse
 from beamseg_batch.structure.intersections import intersections_of
 from beamseg_batch.structure.kernels import end_to_axis
-from beamseg_batch.structure.similarity import similarity_by
+from beamseg_batch.structure.similarity import projection_epsilon, similarity_by
 
 __all__ = ["Structure"]
 
@@ -31,6 +31,10 @@ class Structure:
         self._similarity = similarity_by(config.structure, config.filtering)
         self._segments: list[Segment] = []
         self._arrays = SegmentArrays()
+        # Numbers of the scans in which each segment was seen: pieces of one beam may be
+        # seen in the same scan, so their counts do not add up.
+        self._seen_in: list[set[int]] = []
+        self._scan = 0
 
     def __len__(self) -> int:
         return len(self._segments)
@@ -49,10 +53,11 @@ class Structure:
         """
         changed = {self._take_in(segment) for segment in detections.segments}
         self._merge(changed)
+        self._scan += 1
 
     def segments(self) -> tuple[Segment, ...]:
         """Segments seen often and long enough, in order of first detection."""
-        return tuple(self._segments[i] for i in self._accepted())
+        return tuple(segment for segment in self._segments if self._refusal(segment) is None)
 
     def intersections(self) -> tuple[Intersection, ...]:
         """Intersections of those segments as they now are (algorithm 2 of the report)."""
@@ -60,36 +65,32 @@ class Structure:
 
     def rejections(self) -> Counter[str]:
         """Segments that are left out of the result, by reason."""
-        limits = self.config.structure
-        counts: Counter[str] = Counter()
-        for segment in self._segments:
-            if segment.n_scans < limits.min_scans:
-                counts["too_few_scans"] += 1
-            elif segment.length < limits.min_length:
-                counts["too_short"] += 1
-        return counts
+        refusals = map(self._refusal, self._segments)
+        return Counter(reason for reason in refusals if reason is not None)
 
-    def _accepted(self) -> list[int]:
-        limits = self.config.structure
-        return [
-            index
-            for index, segment in enumerate(self._segments)
-            if segment.n_scans >= limits.min_scans and segment.length >= limits.min_length
-        ]
+    def _refusal(self, segment: Segment) -> str | None:
+        """Why a segment is left out of the result, or None."""
+        if segment.n_scans < self.config.structure.min_scans:
+            return "too_few_scans"
+        if segment.length < self.config.structure.min_length:
+            return "too_short"
+        return None
 
     def _take_in(self, new: Segment) -> int:
         """Fuse a segment with the most similar known one it overlaps, or add it."""
         for index in self._similar(new):
             fused = self._fused(self._segments[index], new)
             if fused is not None:
+                self._seen_in[index].add(self._scan)
                 self._replace(index, fused)
                 return index
         self._segments.append(replace(new, points=np.empty((0, 3))))
         self._arrays.append(new)
+        self._seen_in.append({self._scan})
         return len(self._segments) - 1
 
     def _replace(self, index: int, segment: Segment) -> None:
-        self._segments[index] = segment
+        self._segments[index] = replace(segment, n_scans=len(self._seen_in[index]))
         self._arrays.replace(index, segment)
 
     def _similar(self, new: Segment) -> list[int]:
@@ -108,9 +109,9 @@ class Structure:
         if fused is None:
             return None
         moved = end_to_axis(known.end_1, known.end_2, fused.anchor, fused.direction)
-        limits, diag_voxel = self.config.structure.thresholds, self.config.filtering.diag_voxel
-        epsilon = limits.epsilon or 2.0 * diag_voxel(known.radius) + known.radius + new.radius
-        return fused if moved <= epsilon else None
+        diag_voxel = self.config.filtering.diag_voxel(known.radius)
+        reach = projection_epsilon(known.radius, self.config.structure.thresholds, diag_voxel)
+        return fused if moved <= reach else None
 
     def _merge(self, changed: set[int]) -> None:
         """Fuse known segments that have grown into the same beam."""
@@ -122,8 +123,9 @@ class Structure:
                 continue
             partner, fused = found
             keep, drop = sorted((index, partner))
+            self._seen_in[keep] |= self._seen_in[drop]
             self._replace(keep, fused)
-            del self._segments[drop]
+            del self._segments[drop], self._seen_in[drop]
             self._arrays.delete(drop)
             waiting = sorted({keep} | {i - (i > drop) for i in waiting if i != drop})
 
