@@ -6,6 +6,7 @@ import contextlib
 import errno
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import TYPE_CHECKING, Any
@@ -30,6 +31,9 @@ __all__ = [
 
 FAILED = 1
 INTERRUPTED = 130
+
+_PATIENCE_S = 2.0
+_PREPARING = "still preparing: reading the poses and, on the first run, compiling the search"
 
 
 def say(text: str) -> None:
@@ -92,16 +96,22 @@ class ScanProgress:
         self._shown = enabled and sys.stderr is not None and sys.stderr.isatty()
         self._bar: RichProgress | None = None
         self._task: Any = None
+        self._preparing = threading.Timer(_PATIENCE_S, note, [_PREPARING])
+        self._preparing.daemon = True
 
     def __enter__(self) -> ScanProgress:
+        if self._shown:
+            self._preparing.start()
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._preparing.cancel()
         if self._bar is not None:
             self._bar.stop()
 
     def begin(self, n_clouds: int) -> None:
         """Show the bar."""
+        self._preparing.cancel()
         if not self._shown:
             return
         from rich.console import Console
