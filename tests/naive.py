@@ -229,6 +229,21 @@ def failed_criteria(points, radius, leaf, min_pca_coeff, max_gap_factor=2.0):
     return failed
 
 
+def stretch_of_most_metres(ordered, max_gap):
+    """Start and stop of the longest stretch without a gap: all stretches, the first of equals."""
+    stretches = [
+        (start, stop)
+        for start in range(len(ordered))
+        for stop in range(start + 1, len(ordered) + 1)
+        if all(b - a <= max_gap for a, b in itertools.pairwise(ordered[start:stop]))
+    ]
+    # Points that coincide belong to the stretch, so of equal lengths the one with most points.
+    return max(
+        stretches,
+        key=lambda s: (ordered[s[1] - 1] - ordered[s[0]], -s[0], s[1]),
+    )
+
+
 # --- similarity and fusion ------------------------------------------------------------
 # Segments are anything with anchor a, direction b, t_min, t_max, radius, n_points,
 # pca_coeff and pca_eig.
@@ -311,3 +326,16 @@ def intersection(one, two, epsilon, parallel_norm=1e-3):
         return None
     point = 0.5 * (one.anchor + t1 * one.direction + two.anchor + t2 * two.direction)
     return t1, t2, point, abs(d)
+
+
+# --- thinned cloud --------------------------------------------------------------------
+
+
+def first_in_their_cells(points, cell_size, held=()):
+    """Which points are the first in their cell, of those that are not held, and all cells."""
+    cells, first = set(held), []
+    for point in points:
+        cell = tuple(math.floor(float(value) / cell_size) for value in point)
+        first.append(cell not in cells)
+        cells.add(cell)
+    return first, cells

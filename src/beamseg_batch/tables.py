@@ -73,7 +73,9 @@ class Column:
     def format(self) -> str:
         """How the values are written, for people."""
         if self.kind == "float":
-            return f"{self.spec[1:-1]} decimals" if self.spec else "shortest exact"
+            decimals = self.spec[1:-1]
+            plural = "" if decimals == "1" else "s"
+            return f"{decimals} decimal{plural}" if decimals else "shortest exact"
         return {"int": "integer", "text": "text"}[self.kind]
 
     def encode(self, value: Any) -> str:

@@ -14,7 +14,7 @@ from beamseg_batch.detection.screening import (
     screen,
     segment_from_points,
 )
-from beamseg_batch.detection.screening_kernels import measure_line
+from beamseg_batch.detection.screening_kernels import longest_stretch, measure_line
 from beamseg_batch.errors import ShapeError
 from beamseg_batch.model import Segment
 from tests import naive
@@ -214,6 +214,15 @@ def test_longest_run__first_of_equals_and_bound_included():
     assert longest_run(t, 0.5).tolist() == [0, 1]
     assert longest_run(t, 1.5).tolist() == [0, 1, 2, 3], "exactly the largest gap is none"
     assert longest_run(np.array([3.0]), 0.5).tolist() == [0]
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_longest_stretch__agrees_with_twin(seed):
+    """On a grid of quarters, so that equal lengths and gaps at the bound come about."""
+    rng = np.random.default_rng(seed)
+    ordered = np.sort(rng.integers(0, 40, int(rng.integers(1, 25)))) * 0.25
+    max_gap = float(rng.integers(0, 8)) * 0.25
+    assert longest_stretch(ordered, max_gap) == naive.stretch_of_most_metres(ordered, max_gap)
 
 
 def test_screen__longest_run_is_kept_where_reject_refuses():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import dataclasses
+import itertools
 import json
 import re
 from collections import Counter
@@ -15,6 +16,7 @@ import pytest
 
 from beamseg_batch.outputs.figures import beam_mesh, structure_figure, thinned
 from beamseg_batch.outputs.report import MAX_TABLE_ROWS, render_report
+from beamseg_batch.outputs.summary import summarise
 
 HOSTILE = "</script><script>alert('x')</script><img src=x onerror=alert(1)>&\"{{ 7*7 }}"
 
@@ -195,6 +197,18 @@ def test_render_report__interrupted(make_flight):
     assert "The flight was not read to its end." in render_report(make_flight(interrupted=True))
 
 
+def test_render_report__names_files_without_their_folder(make_flight):
+    flight = make_flight()
+    path = str(flight.recording.paths[0])
+    html = render_report(dataclasses.replace(flight, warnings=(f"{path}: damaged",)))
+    assert "<li>arena.mcap: damaged</li>" in html
+    assert path not in html
+
+
+def test_render_report__given_summary_is_the_one_it_would_make(flight):
+    assert render_report(flight, summarise(flight, (), "")) == render_report(flight)
+
+
 def test_render_report__cloud_with_missing_points(make_flight):
     cloud = np.array([[np.nan, 0, 0], [1, 2, 3], [np.inf, 0, 0]], dtype=np.float32)
     figures = Page(render_report(make_flight(cloud=cloud))).figures
@@ -203,6 +217,24 @@ def test_render_report__cloud_with_missing_points(make_flight):
 
 def test_structure_figure__has_equal_scales(flight):
     assert structure_figure(flight)["layout"]["scene"]["aspectmode"] == "data"
+
+
+@pytest.mark.parametrize("stretch", [(1, 1, 1), (10, 1, 0.2), (0.1, 5, 1), (0.2, 0.2, 4)])
+def test_structure_figure__camera_sees_all_of_it(make_empty_flight, stretch):
+    """The corners of what is shown, seen at plotly's angle of 45 degrees."""
+    corners = np.array(list(itertools.product((0.0, 1.0), repeat=3))) * stretch + [3.0, 2.0, 1.0]
+    flight = make_empty_flight(cloud=corners.astype(np.float32))
+    camera = structure_figure(flight)["layout"]["scene"]["camera"]
+    eye, centre = (np.array([camera[k][axis] for axis in "xyz"]) for k in ("eye", "center"))
+    extent = np.ptp(corners, axis=0)
+    seen = (corners - corners.mean(axis=0)) / np.cbrt(extent.prod()) - eye
+    ahead = (centre - eye) / np.linalg.norm(centre - eye)
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    depth = seen @ ahead * np.tan(np.pi / 8)
+    across, upward = np.abs(seen @ right / depth), np.abs(seen @ np.cross(right, ahead) / depth)
+    assert depth.min() > 0
+    assert 0.6 < max(across.max(), upward.max()) < 0.97
 
 
 def test_structure_figure__a_label_per_beam(flight):

@@ -61,6 +61,19 @@ def test_summarise__recording_is_named_without_its_folder(flight):
     assert summary["recording"]["extrinsic"]["translation_m"] == [0.071, 0.011, 0.04]
 
 
+def test_summarise__warnings_and_notes_name_files_without_their_folder(
+    make_flight, describe_recording
+):
+    # The second path begins with the first.
+    paths = (Path("/home/jo/flight.bag"), Path("/home/jo/flight.bag.2"))
+    recording = describe_recording(paths=paths, notes=(f"{paths[1]}: a note",))
+    flight = make_flight(recording=recording, warnings=(f"{paths[0]}: damaged", "of 3 clouds"))
+    summary = summarise(flight, (), "")
+    assert summary["warnings"] == ["flight.bag: damaged", "of 3 clouds"]
+    assert summary["recording"]["notes"] == ["flight.bag.2: a note"]
+    assert "/home/jo" not in summary_json(summary)
+
+
 def test_summarise__recording_in_the_working_folder(make_flight, describe_recording):
     flight = make_flight(recording=describe_recording(paths=(Path(),)))
     assert summarise(flight, (), "")["recording"]["files"] == ["."]

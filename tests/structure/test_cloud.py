@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from beamseg_batch.structure import ThinnedCloud
+from beamseg_batch.structure.cloud_kernels import claim_cells
+from tests import naive
 
 
 def scans(seed, count=20, size=500):
@@ -64,3 +66,14 @@ def test_thinned_cloud__without_points():
     cloud.add(np.empty((0, 3), np.float32))
     assert cloud.points().shape == (0, 3)
     assert cloud.points().dtype == np.float32
+
+
+@pytest.mark.parametrize("cell_size", [0.05, 0.5, 3.0])
+@pytest.mark.parametrize("seed", range(5))
+def test_claim_cells__agrees_with_twin(seed, cell_size):
+    """Cells that an earlier scan claimed stay claimed; the table is nearly full at last."""
+    slots, held = np.full(1024, -1, np.int64), set()
+    for points in scans(seed, count=4, size=250):
+        expected, held = naive.first_in_their_cells(points, cell_size, held)
+        assert claim_cells(points, cell_size, slots).tolist() == expected
+    assert np.sum(slots != -1) == len(held)

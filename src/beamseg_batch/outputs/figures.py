@@ -7,6 +7,7 @@ travel as base64 of their bytes, which plotly.js reads and which is a third of t
 from __future__ import annotations
 
 import base64
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -46,8 +47,11 @@ _RING_SPACING_M = 0.4
 _MAX_RINGS = 8
 _MAX_VERTICES = 30_000
 
-_INTERSECTION_REACH = 2.0  # in radii of the thicker beam
-_EYE_DISTANCE = 1.3  # in diagonals of what is shown: all of it fits the field of view
+_INTERSECTION_REACH = 2.8  # in radii of the thicker beam, so 1.8 of them stand out
+_EYE_DIRECTION = np.array([0.66, -0.66, 0.36])
+_HALF_VIEW = np.tan(np.pi / 8)  # plotly.js sees 45 degrees
+_FILL_ACROSS, _FILL_UP = 0.8, 0.9  # of the view; the names of the axes need the rest
+_LABELS_LEFT, _LABELS_BELOW = 0.07, 0.04  # of the view: where axes are named
 _OCTAHEDRON = np.array(
     [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]]
 )
@@ -145,8 +149,12 @@ def structure_figure(result: FlightResult) -> Figure:
         _intersections_trace(result),
     ]
     axes = {f"{axis}axis": {"title": {"text": f"{axis} [m]"}} for axis in "xyz"}
-    camera = {"eye": _eye(result)}
-    scene = {"aspectmode": "data", "dragmode": "turntable", "camera": camera, **axes}
+    scene = {
+        "aspectmode": "data",
+        "dragmode": "turntable",
+        "camera": _camera(result),
+        **axes,
+    }
     legend = {"orientation": "h", "x": 0, "y": 1, "yanchor": "bottom", "itemsizing": "constant"}
     layout = {"scene": scene, "legend": legend, "margin": {"l": 0, "r": 0, "t": 36, "b": 0}}
     return {"data": [trace for trace in traces if trace is not None], "layout": layout}
@@ -348,10 +356,11 @@ def _intersection_label(intersection: Intersection) -> str:
     )
 
 
-def _eye(result: FlightResult) -> dict[str, float]:
-    """Where to look from to see everything, in the scene's own unit.
+def _camera(result: FlightResult) -> dict[str, dict[str, float]]:
+    """Where to look from, and at what, to fill the view, in the scene's own unit.
 
-    With equal scales that unit is the geometric mean of the three extents of what is shown.
+    With equal scales that unit is the geometric mean of the three extents of what is shown,
+    and its origin the middle of it.
     """
     ends = [end for beam in result.segments for end in (beam.end_1, beam.end_2)]
     shown = np.concatenate(
@@ -360,9 +369,27 @@ def _eye(result: FlightResult) -> dict[str, float]:
     shown = shown[np.isfinite(shown).all(axis=1)]
     extent = np.maximum(np.ptp(shown, axis=0), 0.1) if len(shown) else np.ones(3)
     aspect = extent / np.cbrt(extent.prod())
-    direction = np.array([0.66, -0.66, 0.36]) / np.linalg.norm([0.66, -0.66, 0.36])
-    eye = direction * _EYE_DISTANCE * np.linalg.norm(aspect)
-    return {axis: round(float(value), 3) for axis, value in zip("xyz", eye, strict=True)}
+    corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * aspect
+    back = _EYE_DIRECTION / np.linalg.norm(_EYE_DIRECTION)
+    right = np.cross([0.0, 0.0, 1.0], back)
+    right /= np.linalg.norm(right)
+    up = np.cross(back, right)
+    centre, distance = np.zeros(3), 2.0 * float(np.linalg.norm(aspect))
+    for _ in range(30):  # nearer things look larger, so size and middle settle step by step
+        seen = corners - centre
+        depth = np.maximum(distance - seen @ back, 0.1 * distance) * _HALF_VIEW
+        across, upward = seen @ right / depth, seen @ up / depth
+        fill = max(np.ptp(across) / 2 / _FILL_ACROSS, np.ptp(upward) / 2 / _FILL_UP)
+        aside = (across.max() + across.min()) / 2 - _LABELS_LEFT
+        above = (upward.max() + upward.min()) / 2 - _LABELS_BELOW
+        centre += right * (aside * distance * _HALF_VIEW)
+        centre[2] += above * distance * _HALF_VIEW / up[2]
+        distance *= fill
+    return {"eye": _named(centre + distance * back), "center": _named(centre)}
+
+
+def _named(position: FloatArray) -> dict[str, float]:
+    return {axis: round(float(value), 3) for axis, value in zip("xyz", position, strict=True)}
 
 
 def _box(name: str, times_ms: FloatArray, colour: str) -> dict[str, Any]:

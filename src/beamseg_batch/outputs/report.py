@@ -29,12 +29,14 @@ MAX_TABLE_ROWS = 800
 _TEMPLATE = "report.html.j2"
 
 
-def render_report(result: FlightResult) -> str:
+def render_report(result: FlightResult, summary: Mapping[str, Any] | None = None) -> str:
     """Render the report of a flight.
 
     Parameters
     ----------
     result : FlightResult
+    summary : mapping, optional
+        As `summarise` gives it for this result; made when it is not given.
 
     Returns
     -------
@@ -45,7 +47,8 @@ def render_report(result: FlightResult) -> str:
     import jinja2
     from plotly.offline import get_plotlyjs
 
-    summary = summarise(result, (), "")
+    if summary is None:
+        summary = summarise(result, (), "")
     environment = jinja2.Environment(
         autoescape=True,
         undefined=jinja2.StrictUndefined,

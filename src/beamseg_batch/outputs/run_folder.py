@@ -161,17 +161,17 @@ def write_run(result: FlightResult, path: Path, *, overwrite: bool = False) -> W
     """
     contents = _table_files(result)
     contents[CONFIG_FILE] = encoded(config_yaml(result.config))
+    files = planned_files(result.config)
+    summary = summarise(result, files, results_sha256(contents))
     if result.config.outputs.report:
         from beamseg_batch.outputs.report import render_report
 
-        contents[REPORT_FILE] = encoded(render_report(result))
-    files = sorted([*contents, MANIFEST])
-    summary = summarise(result, files, results_sha256(contents))
+        contents[REPORT_FILE] = encoded(render_report(result, summary))
     contents[MANIFEST] = encoded(summary_json(summary))
     with OutputFolder(path, overwrite=overwrite) as folder:
         for name in files:
             folder.write(name, contents[name])
-    return WrittenRun(path, tuple(files), summary)
+    return WrittenRun(path, files, summary)
 
 
 def read_run(folder: Path) -> Run:

@@ -54,7 +54,7 @@ def summarise(result: FlightResult, files: Iterable[str], results_hash: str) -> 
         },
         "processing": _processing(result.scans),
         "real_time": _real_time(result.scans),
-        "warnings": list(result.warnings),
+        "warnings": [_without_folders(text, result.recording) for text in result.warnings],
         "interrupted": result.interrupted,
         "results_sha256": results_hash,
         "files": sorted(files),
@@ -134,8 +134,17 @@ def _recording(result: FlightResult) -> dict[str, Any]:
             "world": recording.world_frame,
         },
         "extrinsic": _extrinsic(recording),
-        "notes": list(recording.notes),
+        "notes": [_without_folders(text, recording) for text in recording.notes],
     }
+
+
+def _without_folders(text: str, recording: RecordingInfo) -> str:
+    """Text in which the recording's files are called by their names only."""
+    # The longest first: one path may begin with another.
+    for path in sorted(recording.paths, key=lambda path: -len(str(path))):
+        if path.name and str(path) != path.name:
+            text = text.replace(str(path), path.name)
+    return text
 
 
 def _extrinsic(recording: RecordingInfo) -> dict[str, Any]:
