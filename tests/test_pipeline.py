@@ -14,7 +14,7 @@ import pytest
 
 from beamseg_batch import pipeline
 from beamseg_batch.config import load_config
-from beamseg_batch.errors import NoScansError, RecordingError
+from beamseg_batch.errors import ConfigError, NoScansError, RecordingError, ShapeError
 from beamseg_batch.geometry import RigidTransform, angle_between_deg, distances_to_line
 from beamseg_batch.model import STAGES, RecordingInfo, Scan, SkippedScan, Trajectory
 from beamseg_batch.pipeline import process_flight
@@ -269,8 +269,9 @@ def test_process_flight__should_stop_keeps_what_is_known(run, scans):
     assert result.warnings == ("interrupted after 5 of 12 clouds",)
 
 
-def test_process_flight__damage_midway_keeps_what_is_known(run, scans):
-    result = run([*scans[:6], RecordingError("flight.mcap: cut at byte 123"), *scans[6:]])
+@pytest.mark.parametrize("error", [RecordingError, ConfigError, ShapeError])
+def test_process_flight__damage_midway_keeps_what_is_known(run, scans, error):
+    result = run([*scans[:6], error("flight.mcap: cut at byte 123"), *scans[6:]])
     assert result.interrupted
     assert len(result.scans) == 6
     assert content(result)[:2] == content(run(scans[:6]))[:2]

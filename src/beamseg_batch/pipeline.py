@@ -11,7 +11,7 @@ import numpy as np
 
 from beamseg_batch.config import RunConfig
 from beamseg_batch.detection import Detector
-from beamseg_batch.errors import NoScansError, RecordingError
+from beamseg_batch.errors import BeamsegError, NoScansError
 from beamseg_batch.geometry import RigidTransform
 from beamseg_batch.model import Detections, FlightResult, Scan, ScanRecord, SkippedScan
 from beamseg_batch.recording import Flight, Recording, open_flight
@@ -61,14 +61,15 @@ def process_flight(
     Returns
     -------
     FlightResult
-        Also marked as interrupted when the recording turns out to be damaged further on.
+        Also marked as interrupted when the recording turns out to be damaged further on,
+        or a value not to fit a later scan: what is known by then is not lost.
 
     Raises
     ------
     RecordingError
         If the recording has no fitting topics, or no scan of it can be used.
     ConfigError
-        If a value does not fit the data.
+        If a value does not fit the first scan.
 
     Notes
     -----
@@ -95,7 +96,7 @@ def process_flight(
             if should_stop():
                 log.stop(f"interrupted after {log.n_clouds} of {flight.n_clouds} clouds")
                 break
-    except RecordingError as error:
+    except BeamsegError as error:
         if not log.scans:
             raise
         log.stop(str(error))
