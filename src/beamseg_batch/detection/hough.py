@@ -4,26 +4,26 @@ It gives the lines of the published program without doing its work. That program
 one dense accumulator over all cells and directions and scans it for each line. Here
 each direction votes in a small grid of its own, and a heap of upper bounds says which
 directions need to be looked at again after the points of a line were taken away.
-`docs/method.md` tells why the result is the same.
+`docs/search.md` tells why the result is the same.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from beamseg_batch.detection.directions import hemisphere_directions
 from beamseg_batch.detection.hough_kernels import (
-    HoughSpace,
     Search,
     bounding_box,
     find_lines,
     start_search,
 )
+from beamseg_batch.detection.hough_space import HoughSpace, hough_space
+from beamseg_batch.detection.voting_kernels import Plane
 from beamseg_batch.errors import ConfigError, ShapeError
 from beamseg_batch.geometry import FloatArray
 
@@ -126,7 +126,7 @@ def iterative_hough(
     if diagonal == 0.0 or dx >= diagonal:
         return
     shift = (low + high) / 2.0
-    space = _hough_space(granularity)
+    space = hough_space(granularity)
     search = _new_search(points - shift, (low - shift, high - shift), dx, len(space.directions))
     start_search(space, search)
     left = nlines or len(points)
@@ -160,43 +160,52 @@ def _next_lines(
     ]
 
 
-@cache
-def _hough_space(granularity: int) -> HoughSpace:
-    directions = hemisphere_directions(granularity)
-    x, y, z = directions.T
-    beta = 1.0 / (1.0 + z)
-    rows = np.array([1.0 - beta * x * x, -beta * x * y, -x, 1.0 - beta * y * y, -y]).T
-    return HoughSpace(directions, np.ascontiguousarray(rows, np.float32))
-
-
 def _new_search(
     points: FloatArray, corners: tuple[FloatArray, FloatArray], dx: float, num_directions: int
 ) -> Search:
     """Lay out a search over centred points; its arrays are filled by `start_search`."""
-    reach = max(float(np.sqrt(np.sum(corner * corner))) for corner in corners)
-    num_x, count = _cells_per_side(reach, dx), len(points)
+    plane, count = _voting_plane(corners, dx), len(points)
+    eights = (count + 7) // 8 * 8
     return Search(
         points=points,
-        reach=reach,
-        dx=dx,
-        num_x=num_x,
-        margin=_FLOAT32_ROUNDINGS * (num_x + 2),
+        plane=plane,
         progress=np.empty(2, np.int64),
         alive=np.empty(count, np.int64),
+        left=np.empty((3, count)),
         shuffled=np.empty(count, np.int64),
-        scaled=np.empty((3, count), np.float32),
+        scaled=np.empty((3, eights), np.float32),
         heap=np.empty(num_directions, np.int64),
         keys=np.empty(num_directions, np.int64),
         rounds=np.empty(num_directions, np.int64),
         exact=np.empty(num_directions, np.bool_),
-        cells=np.empty(count, np.uint32),
+        cells=np.empty(eights, np.uint32),
         close=np.empty(count, np.int64),
-        grid=np.zeros(num_x * (num_x + 2) + 1, np.uint32),
+        distances=np.empty(count),
+        grid=np.zeros(plane.num_x * (plane.num_x + 2) + 1, np.uint32),
+    )
+
+
+def _voting_plane(corners: tuple[FloatArray, FloatArray], dx: float) -> Plane:
+    low, high = corners[0].tolist(), corners[1].tolist()
+    reach = max(math.sqrt(x * x + y * y + z * z) for x, y, z in (low, high))
+    num_x = _cells_per_side(reach, dx)
+    half_x, half_y, half_z = (
+        (last - first) / (2.0 * dx) for first, last in zip(low, high, strict=True)
+    )
+    return Plane(
+        reach=reach,
+        dx=dx,
+        num_x=num_x,
+        centre=reach / dx,
+        half_x=half_x,
+        half_y=half_y,
+        half_z=half_z,
+        margin=_FLOAT32_ROUNDINGS * (num_x + 2),
     )
 
 
 def _cells_per_side(reach: float, dx: float) -> int:
-    cells = float(np.floor(2.0 * reach / dx + 0.5))
+    cells = math.floor(2.0 * reach / dx + 0.5)
     if cells > MAX_CELLS_PER_SIDE:
         raise ConfigError(
             f"a cloud of {2.0 * reach:.4g} m has {cells:.4g} cells of {dx:.4g} m along one side, "

@@ -67,18 +67,20 @@ def fit_line(
     rotations (Golub and Van Loan, section 8.5), which for 3x3 need at most six sweeps
     and give the same bits on every machine, which a LAPACK does not.
     """
-    anchor, scatter, vectors = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
-    for axis in range(3):
-        for k in range(count):
-            anchor[axis] += points[indices[k], axis]
-        anchor[axis] /= count
-        vectors[axis, axis] = 1.0
+    x, y, z = 0.0, 0.0, 0.0
     for k in range(count):
-        for row in range(3):
-            for column in range(3):
-                scatter[row, column] += (points[indices[k], row] - anchor[row]) * (
-                    points[indices[k], column] - anchor[column]
-                )
+        point = indices[k]
+        x, y, z = x + points[point, 0], y + points[point, 1], z + points[point, 2]
+    x, y, z = x / count, y / count, z / count
+    xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(count):
+        point = indices[k]
+        px, py, pz = points[point, 0] - x, points[point, 1] - y, points[point, 2] - z
+        xx, xy, xz = xx + px * px, xy + px * py, xz + px * pz
+        yy, yz, zz = yy + py * py, yz + py * pz, zz + pz * pz
+    anchor = np.array([x, y, z])
+    scatter = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    vectors = np.eye(3)
     for _ in range(12):
         if scatter[0, 1] == 0.0 and scatter[0, 2] == 0.0 and scatter[1, 2] == 0.0:
             break
