@@ -7,8 +7,8 @@ import pytest
 
 from beamseg_batch.config import IntersectionConfig
 from beamseg_batch.structure.arrays import SegmentArrays
+from beamseg_batch.structure.axis_kernels import closest_approaches
 from beamseg_batch.structure.intersections import intersections_of
-from beamseg_batch.structure.kernels import closest_approaches
 from tests import naive
 from tests.structure.segments import between, random_segment, turned
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import gc
 import signal
 import sys
 import threading
@@ -22,6 +23,7 @@ __all__ = [
     "FAILED",
     "INTERRUPTED",
     "ScanProgress",
+    "begin_work",
     "complain",
     "note",
     "say",
@@ -138,6 +140,12 @@ class ScanProgress:
         task = self._bar.tasks[self._task]
         rate = f"{task.speed:.0f}/s" if task.speed else ""
         self._bar.update(self._task, advance=1, beams=n_segments, rate=rate)
+
+
+def begin_work() -> None:
+    """Collect garbage from here on, but not among what was imported so far."""
+    gc.freeze()
+    gc.enable()
 
 
 @contextlib.contextmanager

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from beamseg_batch.cli.console import say
+from beamseg_batch.cli.console import begin_work, say
 from beamseg_batch.cli.options import ConfigOptions, config_options, recording_argument
 
 if TYPE_CHECKING:
@@ -43,6 +43,7 @@ def command(recording: tuple[Path, ...], options: ConfigOptions, as_json: bool) 
     from beamseg_batch.recording import inspect_recording, open_recording
 
     config = options.load()
+    begin_work()
     summary = inspect_recording(open_recording(list(recording)), config)
     if as_json:
         say(json.dumps(summary.to_json(), indent=2))

@@ -12,6 +12,7 @@ from beamseg_batch.cli.console import (
     FAILED,
     INTERRUPTED,
     ScanProgress,
+    begin_work,
     note,
     say,
     stop_on_interrupt,
@@ -82,6 +83,7 @@ def command(
 
     from beamseg_batch.pipeline import process_flight
 
+    begin_work()
     with stop_on_interrupt() as stop_asked, ScanProgress(enabled=level >= 1) as progress:
         result = process_flight(opened, config, progress=progress, should_stop=stop_asked)
         asked = stop_asked()

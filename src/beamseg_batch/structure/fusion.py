@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from beamseg_batch.config import StructureConfig
 from beamseg_batch.model import Segment
-from beamseg_batch.structure.kernels import blend_axes
+from beamseg_batch.structure.axis_kernels import blend_axes
 
 __all__ = ["fuse", "fusion_coefficient", "point_weight"]
 

@@ -10,7 +10,7 @@ from beamseg_batch.config import IntersectionConfig
 from beamseg_batch.geometry import angle_between_deg
 from beamseg_batch.model import Intersection, Segment
 from beamseg_batch.structure.arrays import SegmentArrays
-from beamseg_batch.structure.kernels import closest_approaches
+from beamseg_batch.structure.axis_kernels import closest_approaches
 
 __all__ = ["intersections_of"]
 

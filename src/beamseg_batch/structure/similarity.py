@@ -16,7 +16,7 @@ from beamseg_batch.config import FilteringConfig, StructureConfig, ThresholdConf
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import Segment
 from beamseg_batch.structure.arrays import SegmentArrays
-from beamseg_batch.structure.kernels import axes_to_ends, ends_to_axes
+from beamseg_batch.structure.axis_kernels import axes_to_ends, ends_to_axes
 
 __all__ = [
     "Similarity",

@@ -10,9 +10,9 @@ import numpy as np
 from beamseg_batch.config import RunConfig
 from beamseg_batch.model import Detections, Intersection, Segment
 from beamseg_batch.structure.arrays import SegmentArrays
+from beamseg_batch.structure.axis_kernels import end_to_axis
 from beamseg_batch.structure.fusion import fuse
 from beamseg_batch.structure.intersections import intersections_of
-from beamseg_batch.structure.kernels import end_to_axis
 from beamseg_batch.structure.similarity import projection_epsilon, similarity_by
 
 __all__ = ["Structure"]
