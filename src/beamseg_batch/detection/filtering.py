@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from beamseg_batch.config import FilteringConfig
-from beamseg_batch.detection.filtering_kernels import crop, voxel_means
+from beamseg_batch.detection.filtering_kernels import crop, largest_extent, voxel_means
 from beamseg_batch.errors import ConfigError
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import Scan
@@ -90,7 +90,7 @@ def voxel_grid(points: FloatArray, leaf_size: float) -> FloatArray:
     """
     if len(points) == 0:
         return np.empty((0, 3))
-    extent = float(np.ptp(points, axis=0).max())
+    extent = largest_extent(points)
     if extent >= leaf_size * _MAX_VOXELS_PER_AXIS:
         raise ConfigError(
             f"a leaf size of {leaf_size:.3g} m cuts a cloud of {extent:.3g} m into more than "

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from beamseg_batch.accelerate import kernel
 from beamseg_batch.geometry import FloatArray
 
-__all__ = ["crop", "voxel_means"]
+__all__ = ["crop", "largest_extent", "voxel_means"]
 
 _EMPTY = np.int64(-1)
 
@@ -59,6 +59,28 @@ def crop(
         kept[count, 0], kept[count, 1], kept[count, 2] = x, y, z
         count += 1
     return kept[:count].copy(), num_returns, num_window
+
+
+@kernel
+def largest_extent(points: FloatArray) -> float:
+    """Largest extent of points along an axis.
+
+    Parameters
+    ----------
+    points : (N, 3) float64, metres
+        Finite, at least one.
+
+    Returns
+    -------
+    float, metres
+    """
+    largest = 0.0
+    for axis in range(3):
+        low = high = points[0, axis]
+        for k in range(len(points)):
+            low, high = min(low, points[k, axis]), max(high, points[k, axis])
+        largest = max(largest, high - low)
+    return largest
 
 
 @kernel

@@ -204,6 +204,7 @@ def open_flight(recording: Recording, config: RunConfig) -> Flight:
     """
     clouds = choose_topic(recording, CLOUDS, config.recording.cloud_topic)
     poses = choose_topic(recording, POSES, config.recording.pose_topic)
+    recording.hold([clouds.topic.name, poses.topic.name])
     header = read_first(recording, clouds.topic, read_header) or CloudHeader("", 0)
     tree = read_static_tree(recording)
     edge, trajectory, pose_notes = read_trajectory(

@@ -6,6 +6,7 @@ import hashlib
 import heapq
 import os
 from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike
@@ -29,6 +30,7 @@ AnyPath: TypeAlias = str | PathLike[str]
 T = TypeVar("T")
 
 _HASH_BLOCK_BYTES = 1 << 20
+_MOST_HELD_BYTES = 64 << 20
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ class Recording:
     """The messages of one flight, read as often as needed.
 
     Made by `open_recording`. No file stays open between calls, and memory does not
-    grow with the size of the files, apart from their own indexes.
+    grow with the size of the files, apart from their own indexes and what `hold` keeps.
 
     Attributes
     ----------
@@ -71,6 +73,8 @@ class Recording:
         self._containers = tuple(containers)
         self._indexes = tuple(indexes)
         self._codec = MessageCodec(_definitions(self._channels()))
+        self._held_topics: frozenset[str] = frozenset()
+        self._held: list[RawMessage] = []
 
     def _channels(self) -> list[Channel]:
         return [channel for index in self._indexes for channel in index.channels]
@@ -151,6 +155,32 @@ class Recording:
             If a file cannot be read any further.
         """
         names = frozenset(topics)
+        if names <= self._held_topics:
+            return (raw for raw in self._held if raw.topic in names)
+        return self._stream(names)
+
+    def hold(self, topics: Collection[str]) -> None:
+        """Keep the messages of some topics in memory, if they are few, for all later passes.
+
+        Poses and clouds lie in the same compressed chunks: read together, each chunk is
+        read and decompressed once.
+
+        Parameters
+        ----------
+        topics : collection of str
+        """
+        if self.size_bytes > _MOST_HELD_BYTES:
+            return
+        names, held, size = frozenset(topics), [], 0
+        with suppress(RecordingError):  # whoever reads that far is told
+            for raw in self._stream(names):
+                size += len(raw.data)
+                if size > _MOST_HELD_BYTES:
+                    return
+                held.append(raw)
+            self._held_topics, self._held = names, held
+
+    def _stream(self, names: frozenset[str]) -> Iterator[RawMessage]:
         streams = [container.messages(names) for container in self._containers]
         if len(streams) == 1:
             return streams[0]
