@@ -1,0 +1,1 @@
+"""What stands in the world: members, clutter, and the files that describe them."""

@@ -1,0 +1,188 @@
+"""The scene: members and clutter as they truly stand, in the world frame, metres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from beamseg_batch.geometry import FloatArray
+
+__all__ = ["Box", "Member", "Mesh", "Rectangle", "Scene", "Section", "Shape", "Sphere"]
+
+Shape = Literal["round", "square", "i", "l", "c"]
+"""Cross-sections of a member: round bar or tube, square tube, I or H, angle, channel."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """Cross-section of a member, about its centre of area.
+
+    Attributes
+    ----------
+    shape : Shape
+    width, height : float, metres
+        Extent along the section's own u and v; both the diameter if `shape` is round.
+    web, flange : float, metres
+        Thickness of the parts along v, and of those along u. An I has two flanges and a
+        web between their middles, a channel one between their left ends, an angle one leg
+        along u at the bottom and one along v at the left. Zero for a round section.
+    """
+
+    shape: Shape
+    width: float
+    height: float
+    web: float = 0.0
+    flange: float = 0.0
+
+    @property
+    def radius(self) -> float:
+        """Half the larger extent, metres: the radius, if the section is round."""
+        return max(self.width, self.height) / 2.0
+
+    def plates(self) -> list[tuple[float, float, float, float]]:
+        """Return the rectangles that a section which is not round is made of.
+
+        Returns
+        -------
+        list of (centre u, centre v, width, height), metres
+            About the section's centre of area. They do not overlap. Empty if the section
+            is round. The tube is closed: its outside alone can be seen.
+        """
+        width, height, web, flange = self.width, self.height, self.web, self.flange
+        if self.shape == "round":
+            return []
+        if self.shape == "square":
+            return [(0.0, 0.0, width, height)]
+        inner = height - 2.0 * flange
+        left = (web - width) / 2.0
+        flanges = [
+            (0.0, (flange - height) / 2.0, width, flange),
+            (0.0, (height - flange) / 2.0, width, flange),
+        ]
+        plates = {
+            "i": [*flanges, (0.0, 0.0, web, inner)],
+            "c": [*flanges, (left, 0.0, web, inner)],
+            "l": [flanges[0], (left, flange / 2.0, web, height - flange)],
+        }[self.shape]
+        area = sum(w * h for _, _, w, h in plates)
+        u = sum(u * w * h for u, _, w, h in plates) / area
+        v = sum(v * w * h for _, v, w, h in plates) / area
+        return [(pu - u, pv - v, w, h) for pu, pv, w, h in plates]
+
+
+@dataclass(frozen=True, eq=False)
+class Member:
+    """A member of the structure.
+
+    Attributes
+    ----------
+    name : str
+    start, end : (3,) float64, metres, world frame
+        Ends of the axis, which runs through the section's centre of area.
+    section : Section
+    roll : float, radians
+        Turn of the section about the axis, from start to end; see `rotation`.
+    bow : float, metres
+        Largest deviation of the axis from its chord, at mid-length, towards the section's
+        v; the axis is a parabola.
+    """
+
+    name: str
+    start: FloatArray
+    end: FloatArray
+    section: Section
+    roll: float = 0.0
+    bow: float = 0.0
+
+    @property
+    def length(self) -> float:
+        """Length of the chord, metres."""
+        return float(np.linalg.norm(self.end - self.start))
+
+    @property
+    def rotation(self) -> FloatArray:
+        """The section's u, v and the axis, as the columns of a rotation to the world.
+
+        Returns
+        -------
+        (3, 3) float64
+            Without roll u is horizontal and v points upwards; for a vertical member u is
+            the world's x.
+        """
+        w = (self.end - self.start) / self.length
+        u = np.array([-w[1], w[0], 0.0])
+        across = float(np.linalg.norm(u))
+        u = np.array([1.0, 0.0, 0.0]) if across < 1e-9 else u / across
+        v = np.cross(w, u)
+        cos, sin = np.cos(self.roll), np.sin(self.roll)
+        return np.column_stack([cos * u + sin * v, cos * v - sin * u, w])
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """A box. `centre` (3,), `size` (3,) metres; `rotation` (3, 3) of its axes to the world."""
+
+    centre: FloatArray
+    size: FloatArray
+    rotation: FloatArray = field(default_factory=lambda: np.eye(3))
+
+
+@dataclass(frozen=True, eq=False)
+class Sphere:
+    """A sphere. `centre` (3,), `radius`, metres."""
+
+    centre: FloatArray
+    radius: float
+
+
+@dataclass(frozen=True, eq=False)
+class Rectangle:
+    """A flat rectangle, seen from both sides.
+
+    `centre` (3,), `size` (2,) metres; `rotation` (3, 3): its sides along x and y, its
+    normal along z, to the world.
+    """
+
+    centre: FloatArray
+    size: FloatArray
+    rotation: FloatArray = field(default_factory=lambda: np.eye(3))
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles of a file (STL, OBJ, PLY).
+
+    A vertex ``p`` of the file stands at ``rotation @ (scale * p) + translation``.
+    """
+
+    path: Path
+    translation: FloatArray
+    rotation: FloatArray = field(default_factory=lambda: np.eye(3))
+    scale: FloatArray = field(default_factory=lambda: np.ones(3))
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """All that stands in a world.
+
+    Attributes
+    ----------
+    name : str
+    members : tuple of Member
+        Those with a known axis: the truth.
+    boxes, spheres, rectangles, meshes : tuples
+        Clutter, floor and ceiling included.
+    notes : tuple of str
+        What the file holds that the scene does not, for people.
+    """
+
+    name: str
+    members: tuple[Member, ...] = ()
+    boxes: tuple[Box, ...] = ()
+    spheres: tuple[Sphere, ...] = ()
+    rectangles: tuple[Rectangle, ...] = ()
+    meshes: tuple[Mesh, ...] = ()
+    notes: tuple[str, ...] = ()
