@@ -7,16 +7,31 @@ here, and `beamseg config schema` prints them.
 
 from __future__ import annotations
 
-import difflib
 import io
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from beamseg_batch.errors import ConfigError
+from beamseg_batch.schema import (
+    Finite,
+    Interval,
+    Node,
+    NonNegative,
+    Positive,
+    Seconds,
+    Share,
+    Vector3,
+    YamlError,
+    message_of,
+    nearest,
+    problems,
+    read_yaml,
+    shortened,
+)
 
 __all__ = [
     "DEFAULT_PROFILE",
@@ -41,23 +56,8 @@ __all__ = [
 
 DEFAULT_PROFILE = "precise"
 
-# The limits are far beyond any structure; they keep arithmetic from overflowing.
-Positive: TypeAlias = Annotated[float, Field(gt=0, le=1e4, allow_inf_nan=False)]
-NonNegative: TypeAlias = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
-Finite: TypeAlias = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
-Seconds: TypeAlias = Annotated[float, Field(ge=-4e9, le=4e9, allow_inf_nan=False)]
-Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
-Vector3: TypeAlias = tuple[Finite, Finite, Finite]
-Interval: TypeAlias = tuple[Finite, Finite]
 
-
-class _Node(BaseModel):
-    """A branch of the tree: frozen, and closed to keys it does not know."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
-
-
-class RecordingConfig(_Node):
+class RecordingConfig(Node):
     """Which topics and frames of the recording are used."""
 
     cloud_topic: str | None = None
@@ -72,7 +72,7 @@ class RecordingConfig(_Node):
     """Seconds added to the stamps of the clouds before matching."""
 
 
-class MatchingConfig(_Node):
+class MatchingConfig(Node):
     """How a scan gets its pose (report, sections 3.2.1 and 6.2)."""
 
     method: Literal["nearest", "interpolate"] = "interpolate"
@@ -81,7 +81,7 @@ class MatchingConfig(_Node):
     """Largest time from a cloud to its nearest pose message, seconds."""
 
 
-class ExtrinsicConfig(_Node):
+class ExtrinsicConfig(Node):
     """``T_body_sensor``: where the camera sits on the drone."""
 
     translation: Vector3 = (0.0, 0.0, 0.0)
@@ -90,7 +90,7 @@ class ExtrinsicConfig(_Node):
     """Roll, pitch and yaw of the sensor's axes about the fixed body axes, degrees."""
 
 
-class SensorConfig(_Node):
+class SensorConfig(Node):
     """The camera."""
 
     extrinsic: ExtrinsicConfig | None = None
@@ -99,7 +99,7 @@ class SensorConfig(_Node):
     """Whether /tf_static may give the extrinsic."""
 
 
-class WindowConfig(_Node):
+class WindowConfig(Node):
     """Pass-through window in the sensor's axes, x forward (report, section 3.2.2)."""
 
     x: Interval = (0.0, 1.5)
@@ -118,7 +118,7 @@ class WindowConfig(_Node):
         return self
 
 
-class FilteringConfig(_Node):
+class FilteringConfig(Node):
     """Pre-processing of a cloud (report, section 3.2.2)."""
 
     window: WindowConfig = WindowConfig()
@@ -141,7 +141,7 @@ class FilteringConfig(_Node):
         return math.sqrt(3.0) * self.leaf_size(radius)
 
 
-class HoughConfig(_Node):
+class HoughConfig(Node):
     """The iterative Hough transform (report, section 3.2.3)."""
 
     granularity: Annotated[int, Field(ge=0, le=6)] = 4
@@ -154,7 +154,7 @@ class HoughConfig(_Node):
     """Most segments kept of one scan; 0 for no limit. Refused lines do not count."""
 
 
-class ScreeningConfig(_Node):
+class ScreeningConfig(Node):
     """Which lines are segments (report, section 3.2.4)."""
 
     min_pca_coeff: Share = 0.99
@@ -170,14 +170,14 @@ class ScreeningConfig(_Node):
     """Factor on the report's smallest number of points."""
 
 
-class DetectionConfig(_Node):
+class DetectionConfig(Node):
     """From a scan to its segments."""
 
     hough: HoughConfig = HoughConfig()
     screening: ScreeningConfig = ScreeningConfig()
 
 
-class ThresholdConfig(_Node):
+class ThresholdConfig(Node):
     """Thresholds of the similarity solutions (report, section 3.2.6)."""
 
     T_a: Positive = 0.1
@@ -193,7 +193,7 @@ class ThresholdConfig(_Node):
     null is 2 * diag_voxel + r1 + r2."""
 
 
-class IntersectionConfig(_Node):
+class IntersectionConfig(Node):
     """When two segments touch (report, section 3.2.7)."""
 
     epsilon: Positive | None = None
@@ -204,7 +204,7 @@ class IntersectionConfig(_Node):
     """How far beyond an end a crossing still counts, metres."""
 
 
-class StructureConfig(_Node):
+class StructureConfig(Node):
     """From segments to the structure of the flight."""
 
     similarity: Literal["parameters", "midpoint", "projection"] = "projection"
@@ -221,7 +221,7 @@ class StructureConfig(_Node):
     intersections: IntersectionConfig = IntersectionConfig()
 
 
-class OutputConfig(_Node):
+class OutputConfig(Node):
     """What is written, and where."""
 
     path: str | None = None
@@ -234,7 +234,7 @@ class OutputConfig(_Node):
     """Most points of the thinned cloud of the flight."""
 
 
-class RunConfig(_Node):
+class RunConfig(Node):
     """The whole configuration of a run."""
 
     profile: str = DEFAULT_PROFILE
@@ -311,7 +311,7 @@ def load_config(
     ConfigError
         If a file is missing or not YAML, a profile or key unknown, or a value out of range.
     """
-    overlay = _read_yaml(file) if file else {}
+    overlay = _read_mapping(file) if file else {}
     where = str(file) if file else "configuration"
     original = _is_original(overlay)
     overlay = _resolve_aliases(overlay, where)
@@ -342,23 +342,17 @@ def config_yaml(config: RunConfig) -> str:
 def _read_profile(name: str) -> dict[str, Any]:
     if name not in profile_names():
         raise ConfigError(
-            f"unknown profile {name!r}{_nearest(name, profile_names())}; "
+            f"unknown profile {name!r}{nearest(name, profile_names())}; "
             f"there are: {', '.join(profile_names())}"
         )
-    return _read_yaml(config_folder() / f"{name}.yaml")
+    return _read_mapping(config_folder() / f"{name}.yaml")
 
 
-def _read_yaml(path: Path) -> dict[str, Any]:
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
+def _read_mapping(path: Path) -> dict[str, Any]:
     try:
-        content = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
-    except (YAMLError, ValueError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        raise ConfigError(f"{path}: is not valid YAML: {reason}") from error
+        content, _ = read_yaml(path)
+    except YamlError as error:
+        raise ConfigError(f"{path}: {error}") from error
     if content is None:
         return {}
     if not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
@@ -433,36 +427,17 @@ def _validated(tree: Mapping[str, Any], where: str) -> RunConfig:
     try:
         return RunConfig.model_validate(tree)
     except ValidationError as error:
-        raise ConfigError(f"{where}: " + "; ".join(_problems(error))) from None
-
-
-def _problems(error: ValidationError) -> list[str]:
-    """Say each problem once, where it lies: a branch fails because of what is in it."""
-    found = error.errors()
-    return [
-        _explain(problem)
-        for problem in found
-        if not any(_lies_in(other["loc"], problem["loc"]) for other in found)
-    ]
-
-
-def _lies_in(inner: Sequence[Any], outer: Sequence[Any]) -> bool:
-    return len(inner) > len(outer) and tuple(inner[: len(outer)]) == tuple(outer)
+        raise ConfigError(f"{where}: " + "; ".join(map(_explain, problems(error)))) from None
 
 
 def _explain(problem: Mapping[str, Any]) -> str:
     """Say one pydantic problem in a sentence, with the way out."""
     path = ".".join(str(part) for part in problem["loc"])
     if problem["type"] == "extra_forbidden":
-        return f"unknown key {path!r}{_nearest(path, tuple(_key_paths(RunConfig)))}"
-    message = str(problem["msg"]).removeprefix("Value error, ")
+        return f"unknown key {path!r}{nearest(path, [*ALIASES, *_key_paths(RunConfig)])}"
     value = problem.get("input")
-    shown = "" if isinstance(value, Mapping) else f" is {_shortened(repr(value))}"
-    return f"{path}{shown}: {message[:1].lower()}{message[1:]}"
-
-
-def _shortened(text: str) -> str:
-    return text if len(text) <= 60 else f"{text[:57]}..."
+    shown = "" if isinstance(value, Mapping) else f" is {shortened(value)}"
+    return f"{path}{shown}: {message_of(problem)}"
 
 
 def _key_paths(node: type[BaseModel], prefix: str = "") -> Iterator[str]:
@@ -474,14 +449,3 @@ def _key_paths(node: type[BaseModel], prefix: str = "") -> Iterator[str]:
             yield from _key_paths(branch, f"{prefix}{name}.")
         if not branches:
             yield prefix + name
-
-
-def _nearest(name: str, known: Sequence[str]) -> str:
-    """Suggest the known name that looks most like an unknown one."""
-    matches = difflib.get_close_matches(name, [*known, *ALIASES], n=1, cutoff=0.75)
-    if not matches:
-        leaf = name.rpartition(".")[2]
-        by_leaf = {path.rpartition(".")[2]: path for path in known}
-        close = difflib.get_close_matches(leaf, by_leaf, n=1, cutoff=0.7)
-        matches = [by_leaf[key] for key in close]
-    return f"; did you mean {matches[0]!r}?" if matches else ""

@@ -19,6 +19,8 @@ __all__ = [
     "RunError",
     "ShapeError",
     "TopicError",
+    "TruthError",
+    "WorldError",
 ]
 
 
@@ -76,3 +78,13 @@ class OutputError(BeamsegError, OSError):
 
 class RunError(BeamsegError, ValueError):
     """A finished run cannot be read back from its folder."""
+
+
+class WorldError(BeamsegError, ValueError):
+    """A description of a world, of a flight in it or of a sensor is not valid."""
+
+    exit_code = 2
+
+
+class TruthError(BeamsegError, ValueError):
+    """A truth cannot be read, or is none."""
