@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,16 @@ from hypothesis import strategies as st
 
 from beamseg_batch.errors import RunError, ShapeError
 from beamseg_batch.model import STAGES
-from beamseg_batch.tables import INTERSECTIONS, PROCESSING_TIME, SEGMENTS, TABLES, Column, Table
+from beamseg_batch.tables import (
+    INTERSECTIONS,
+    PROCESSING_TIME,
+    SEGMENTS,
+    TABLES,
+    TRUTH,
+    TRUTH_TABLES,
+    Column,
+    Table,
+)
 
 SMALL = Table(
     "small.csv",
@@ -101,6 +111,20 @@ def test_decode__columns_of_a_later_version_are_left_out():
     assert read["number"].tolist() == [3]
 
 
+def test_decode__only_what_is_required_must_be_there():
+    read = SMALL.decode("name,number\nx,3\n", required=("number",))
+    assert list(read) == ["number", "name"]
+    with pytest.raises(RunError, match=r"small\.csv: has no column place$"):
+        SMALL.decode("name,number\nx,3\n", required=("number", "place"))
+
+
+def test_decode__an_error_names_the_line():
+    with pytest.raises(RunError, match="column place: line 5: could not convert"):
+        SMALL.decode('number,place,time_s,name\n1,2,3,"a\nb"\n\n2,two,3,x\n')
+    with pytest.raises(RunError, match="row 2 has 1 values, the header 4; it ends on line 4"):
+        SMALL.decode("number,place,time_s,name\n1,2,3,x\n\n9\n")
+
+
 def test_decode__lines_of_another_system():
     assert SMALL.decode("number,place,time_s,name\r\n1,2.5,3.0,x\r\n")["place"].tolist() == [2.5]
 
@@ -122,14 +146,14 @@ def test_decode__unreadable(text, reason):
         SMALL.decode(text, where="here")
 
 
-@pytest.mark.parametrize("table", TABLES, ids=lambda table: table.name)
+@pytest.mark.parametrize("table", TABLES + TRUTH_TABLES, ids=lambda table: table.name)
 def test_documentation__names_every_column_once(table):
     cells = [line.split(" | ")[0] for line in table.documentation().splitlines() if "`" in line]
     assert cells == [f"| `{name}`" for name in table.column_names]
     assert len(set(table.column_names)) == len(table.columns)
 
 
-@pytest.mark.parametrize("table", TABLES, ids=lambda table: table.name)
+@pytest.mark.parametrize("table", TABLES + TRUTH_TABLES, ids=lambda table: table.name)
 def test_documentation__every_column_has_a_meaning(table):
     for column in table.columns:
         assert column.meaning
@@ -159,6 +183,13 @@ def test_tables__begin_with_the_columns_of_the_original():
         "seg_vec_size",
         "nblines",
     )
+
+
+def test_tables__truth_begins_with_the_columns_of_the_flights_that_have_one():
+    flights = Path(__file__).parent / "data" / "truths"
+    for name in ("tower", "webots_tests"):
+        columns = (flights / f"{name}.csv").read_text().splitlines()[0].split(",")
+        assert list(TRUTH.column_names[: len(columns)]) == columns
 
 
 def test_tables__every_stage_has_its_column():

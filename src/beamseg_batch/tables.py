@@ -1,4 +1,4 @@
-"""Every column of every table that a run writes, declared once.
+"""Every column of every table of a run or of a truth, declared once.
 
 A `Table` writes its CSV text, reads it back and documents it, so the three cannot
 disagree. Text goes in and out: files are the business of `beamseg_batch.outputs`.
@@ -27,6 +27,9 @@ __all__ = [
     "PROCESSING_TIME",
     "SEGMENTS",
     "TABLES",
+    "TRUTH",
+    "TRUTH_JOINTS",
+    "TRUTH_TABLES",
     "Column",
     "ColumnArrays",
     "Table",
@@ -36,6 +39,7 @@ ColumnArrays: TypeAlias = dict[str, NDArray[Any]]
 """Values by column name, all of the same length: int64, float64 or str objects."""
 
 Kind: TypeAlias = Literal["int", "float", "text"]
+_Row: TypeAlias = tuple[int, list[str]]  # the line of the file on which it ends, and its texts
 
 _DTYPES: Mapping[Kind, type] = {"int": np.int64, "float": np.float64, "text": object}
 
@@ -126,7 +130,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """One CSV file of a run.
+    """One CSV file of a run or of a truth.
 
     Attributes
     ----------
@@ -137,12 +141,15 @@ class Table:
         In the order in which they are written.
     deterministic : bool
         Whether the same flight and configuration give the same bytes again.
+    repeated : str
+        What "again" is, for the documentation.
     """
 
     file_name: str
     meaning: str
     columns: tuple[Column, ...]
     deterministic: bool
+    repeated: str = "the same flight is processed again"
 
     @property
     def name(self) -> str:
@@ -184,7 +191,9 @@ class Table:
         writer.writerows(zip(*texts, strict=True))
         return buffer.getvalue()
 
-    def decode(self, text: str, where: str | None = None) -> ColumnArrays:
+    def decode(
+        self, text: str, where: str | None = None, required: Iterable[str] | None = None
+    ) -> ColumnArrays:
         """Read the table from CSV text.
 
         Parameters
@@ -192,31 +201,31 @@ class Table:
         text : str
         where : str, optional
             What to call the text in an error; the file name without it.
+        required : iterable of str, optional
+            Columns that must be there; all that are declared without it.
 
         Returns
         -------
         mapping of str to (N,) array
-            The declared columns in their order. Columns that are not declared, such as
-            those of a later version, are left out.
+            The declared columns that are there, in their order. Columns that are not
+            declared, such as those of a later version, are left out.
 
         Raises
         ------
         RunError
-            If a declared column is missing or a value is not of its kind.
+            If a required column is missing or a value is not of its kind.
         """
         where = where or self.file_name
         header, rows = _split_rows(text, where)
-        missing = [name for name in self.column_names if name not in header]
+        required = self.column_names if required is None else required
+        missing = [name for name in required if name not in header]
         if missing:
             raise RunError(f"{where}: has no column {', '.join(missing)}")
-        arrays: ColumnArrays = {}
-        for column in self.columns:
-            place = header.index(column.name)
-            try:
-                arrays[column.name] = column.decode([row[place] for row in rows])
-            except (ValueError, OverflowError) as error:
-                raise RunError(f"{where}: column {column.name}: {error}") from error
-        return arrays
+        return {
+            column.name: _decode_column(column, header.index(column.name), rows, where)
+            for column in self.columns
+            if column.name in header
+        }
 
     def documentation(self) -> str:
         """Describe the table for people.
@@ -228,7 +237,7 @@ class Table:
         """
         stability = "The same bytes" if self.deterministic else "Other numbers"
         lines = [
-            f"{self.meaning} {stability} when the same flight is processed again.",
+            f"{self.meaning} {stability} when {self.repeated}.",
             "",
             "| column | unit | written as | meaning |",
             "|---|---|---|---|",
@@ -240,19 +249,36 @@ class Table:
         return "\n".join(lines) + "\n"
 
 
-def _split_rows(text: str, where: str) -> tuple[list[str], list[list[str]]]:
+def _split_rows(text: str, where: str) -> tuple[list[str], list[_Row]]:
     """Header and rows of CSV text, every row as long as the header."""
+    reader = csv.reader(io.StringIO(text), strict=True)
     try:
-        lines = list(csv.reader(io.StringIO(text), strict=True))
+        lines = [(reader.line_num, row) for row in reader]
     except csv.Error as error:
-        raise RunError(f"{where}: is not a CSV table: {error}") from error
+        raise RunError(f"{where}: is not a CSV table: line {reader.line_num}: {error}") from error
     if not lines:
         raise RunError(f"{where}: is empty, not even a header")
-    header, rows = lines[0], [row for row in lines[1:] if row]
-    for number, row in enumerate(rows, start=1):
+    header, rows = lines[0][1], [(line, row) for line, row in lines[1:] if row]
+    for number, (line, row) in enumerate(rows, start=1):
         if len(row) != len(header):
-            raise RunError(f"{where}: row {number} has {len(row)} values, the header {len(header)}")
+            raise RunError(
+                f"{where}: row {number} has {len(row)} values, the header {len(header)}; "
+                f"it ends on line {line}"
+            )
     return header, rows
+
+
+def _decode_column(column: Column, place: int, rows: Sequence[_Row], where: str) -> NDArray[Any]:
+    """Values of a column; an error names the line."""
+    try:
+        return column.decode([row[place] for _, row in rows])
+    except (ValueError, OverflowError):
+        for line, row in rows:
+            try:
+                column.decode([row[place]])
+            except (ValueError, OverflowError) as error:
+                raise RunError(f"{where}: column {column.name}: line {line}: {error}") from error
+        raise
 
 
 def _count(name: str, meaning: str, unit: str = "") -> Column:
@@ -261,6 +287,10 @@ def _count(name: str, meaning: str, unit: str = "") -> Column:
 
 def _metres(name: str, meaning: str) -> Column:
     return Column(name, "m", meaning)
+
+
+def _true_metres(name: str, meaning: str) -> Column:
+    return Column(name, "m", meaning, spec=".6f")
 
 
 def _seconds(name: str, meaning: str) -> Column:
@@ -349,3 +379,61 @@ PROCESSING_TIME = Table(
 
 TABLES = (SEGMENTS, INTERSECTIONS, PROCESSING_TIME)
 """Every table of a run."""
+
+TRUTH = Table(
+    "truth.csv",
+    "One row per member as it truly stands, in the world frame.",
+    (
+        Column("id", "", "Name of the member", kind="text"),
+        _true_metres("x1", "First end of the axis, x"),
+        _true_metres("y1", "First end of the axis, y"),
+        _true_metres("z1", "First end of the axis, z"),
+        _true_metres("x2", "Second end of the axis, x"),
+        _true_metres("y2", "Second end of the axis, y"),
+        _true_metres("z2", "Second end of the axis, z"),
+        _true_metres("radius", "Radius; half the larger extent of a section that is not round"),
+        Column("shape", "", "Cross-section: `round`, `square`, `i`, `l` or `c`", kind="text"),
+        Column("visible_fraction", "", "Share of the length that was seen", spec=".4f"),
+        _true_metres("ox1", "First end of the longest stretch that was seen, x"),
+        _true_metres("oy1", "First end of the longest stretch that was seen, y"),
+        _true_metres("oz1", "First end of the longest stretch that was seen, z"),
+        _true_metres("ox2", "Second end of the longest stretch that was seen, x"),
+        _true_metres("oy2", "Second end of the longest stretch that was seen, y"),
+        _true_metres("oz2", "Second end of the longest stretch that was seen, z"),
+        Column("observed_length", "m", "Length of that stretch; 0 if none was seen", spec=".4f"),
+        _count("frames", "Scans that hit the member"),
+        Column(
+            "intervals",
+            "m",
+            "All stretches that were seen, `from:to` along the axis from the first end, "
+            "joined by `;`",
+            kind="text",
+        ),
+        _true_metres("width", "Extent of the section along its u axis"),
+        _true_metres("height", "Extent of the section along its v axis"),
+        _true_metres("web", "Thickness of the parts along v; 0 if the section is round"),
+        _true_metres("flange", "Thickness of the parts along u; 0 if the section is round"),
+        Column("roll_deg", "°", "Turn of the section about the axis", spec=".4f"),
+        _true_metres("bow", "Deviation of the axis from its chord at mid-length, along v"),
+    ),
+    deterministic=True,
+    repeated="the same world is flown with the same seed again",
+)
+"""The members of a structure, and what a flight saw of them."""
+
+TRUTH_JOINTS = Table(
+    "truth_joints.csv",
+    "One row per place where members truly meet.",
+    (
+        Column("ids", "", "Names of the members, joined by `;`", kind="text"),
+        _true_metres("x", "Where they meet, world frame, x"),
+        _true_metres("y", "Where they meet, world frame, y"),
+        _true_metres("z", "Where they meet, world frame, z"),
+    ),
+    deterministic=True,
+    repeated="the same world is flown with the same seed again",
+)
+"""Where the members of a structure meet."""
+
+TRUTH_TABLES = (TRUTH, TRUTH_JOINTS)
+"""Every table of a truth."""

@@ -16,7 +16,13 @@ from beamseg_batch.errors import ConfigError
 if TYPE_CHECKING:
     from beamseg_batch.config import RunConfig
 
-__all__ = ["ConfigOptions", "config_options", "recording_argument", "verbosity_options"]
+__all__ = [
+    "ConfigOptions",
+    "config_options",
+    "parse_extrinsic",
+    "recording_argument",
+    "verbosity_options",
+]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -89,7 +95,7 @@ class ConfigOptions:
         if self.pose_topic is not None:
             overrides.append(f"recording.pose_topic={json.dumps(self.pose_topic)}")
         if self.extrinsic is not None:
-            overrides.append(f"sensor.extrinsic={json.dumps(_parse_extrinsic(self.extrinsic))}")
+            overrides.append(f"sensor.extrinsic={json.dumps(parse_extrinsic(self.extrinsic))}")
         return overrides
 
 
@@ -116,7 +122,8 @@ def verbosity_options(function: F) -> F:
     return click.option("-v", "--verbose", is_flag=True, help="Show details.")(function)
 
 
-def _parse_extrinsic(text: str) -> dict[str, Sequence[float]]:
+def parse_extrinsic(text: str) -> dict[str, Sequence[float]]:
+    """Read where the camera sits, as ``--extrinsic`` takes it; ConfigError if it is not so."""
     parts = text.split(",")
     try:
         numbers = [float(part) for part in parts]
