@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel
 
 from beamseg_batch.config import ALIASES, RunConfig, load_config
-from beamseg_batch.tables import TABLES
+from beamseg_batch.evaluation import COMPARED, MEASURES, Measure
+from beamseg_batch.tables import TABLES, TRUTH_TABLES
 
 DOCS = Path(__file__).resolve().parent
 PROFILES = ("precise", "report")
@@ -42,8 +43,24 @@ def updated(page: str) -> str:
 
 def _parts() -> dict[str, Callable[[], str]]:
     """What can be generated, by name."""
-    parts: dict[str, Callable[[], str]] = {table.file_name: table.documentation for table in TABLES}
-    return parts | {"configuration": _configuration, "aliases": _aliases}
+    parts: dict[str, Callable[[], str]] = {
+        table.file_name: table.documentation for table in (*TABLES, *TRUTH_TABLES)
+    }
+    return parts | {
+        "configuration": _configuration,
+        "aliases": _aliases,
+        "measures": lambda: _measures(MEASURES),
+        "compared": lambda: _measures(COMPARED),
+    }
+
+
+def _measures(measures: Iterable[Measure]) -> str:
+    """Table of measures; `.*` stands for the three figures of a spread."""
+    rows = [
+        f"| `{m.name}{'.*' if m.is_spread else ''}` | {m.unit or '–'} | {m.meaning} |"
+        for m in measures
+    ]
+    return "\n".join(["| metric | unit | what |", "|---|---|---|", *rows]) + "\n"
 
 
 def _aliases() -> str:

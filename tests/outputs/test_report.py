@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from beamseg_batch.outputs.figures import beam_mesh, structure_figure, thinned
+from beamseg_batch.outputs.figures import beam_mesh, structure_figure
 from beamseg_batch.outputs.report import MAX_TABLE_ROWS, render_report
 from beamseg_batch.outputs.summary import summarise
+from beamseg_batch.pages.figures import thinned
 
 HOSTILE = "</script><script>alert('x')</script><img src=x onerror=alert(1)>&\"{{ 7*7 }}"
 

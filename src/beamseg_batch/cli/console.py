@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FAILED",
+    "GATE_FAILED",
     "INTERRUPTED",
     "ScanProgress",
     "begin_work",
@@ -32,6 +33,7 @@ __all__ = [
 ]
 
 FAILED = 1
+GATE_FAILED = 3
 INTERRUPTED = 130
 
 _PATIENCE_S = 2.0

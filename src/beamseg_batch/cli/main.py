@@ -22,6 +22,9 @@ COMMANDS: Mapping[str, str] = {
     "run": "Turn a recorded flight into a measured model of the structure.",
     "info": "Show what a recording holds and how it would be used.",
     "config": "Show, check and document the configuration.",
+    "simulate": "Fly a camera through a known world: a recording with its truth.",
+    "evaluate": "Measure a run against the truth.",
+    "compare": "Hold two runs against each other.",
 }
 """Commands, in the order of `--help`, with the line it shows for each."""
 
@@ -100,7 +103,7 @@ def beamseg() -> None:
         beamseg run flight.mcap       # beams, intersections and a report
 
     Exit codes: 0 done, 1 the data cannot be processed, 2 wrong usage or configuration,
-    130 interrupted.
+    3 a gate failed, 130 interrupted.
     """  # noqa: D301 (click reads the backspace)
 
 

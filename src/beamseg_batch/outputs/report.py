@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from typing import Any
@@ -13,13 +12,14 @@ from beamseg_batch.outputs.columns import time_origin_ns
 from beamseg_batch.outputs.figures import (
     MAX_BEAMS,
     MAX_CLOUD_POINTS,
-    Figure,
     processing_figure,
     size_figure,
     structure_figure,
     times_by_lines_figure,
 )
 from beamseg_batch.outputs.summary import summarise
+from beamseg_batch.pages.figures import Figure
+from beamseg_batch.pages.rendering import render_page
 
 __all__ = ["MAX_TABLE_ROWS", "render_report"]
 
@@ -44,27 +44,15 @@ def render_report(result: FlightResult, summary: Mapping[str, Any] | None = None
         HTML with everything in it, plotly.js included. It requests nothing from anywhere,
         and a content security policy in it forbids to.
     """
-    import jinja2
-    from plotly.offline import get_plotlyjs
-
     if summary is None:
         summary = summarise(result, (), "")
-    environment = jinja2.Environment(
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"ms": _ms, "megabytes": _megabytes}
-    template = environment.from_string(
-        resources.files(__package__).joinpath("templates", _TEMPLATE).read_text("utf-8")
-    )
     figures = _figures(result, summary)
-    return template.render(
+    return render_page(
+        resources.files(__package__).joinpath("templates", _TEMPLATE).read_text("utf-8"),
+        figures,
+        filters={"ms": _ms, "megabytes": _megabytes},
         summary=summary,
-        figures_json=_script_json(figures),
         has_structure="structure" in figures,
-        plotly_js=get_plotlyjs(),
         beams=[_beam_row(n, s, result) for n, s in enumerate(result.segments[:MAX_TABLE_ROWS])],
         intersections=[_intersection_row(i) for i in result.intersections[:MAX_TABLE_ROWS]],
         stages=_stage_rows(summary),
@@ -87,12 +75,6 @@ def _figures(result: FlightResult, summary: Mapping[str, Any]) -> dict[str, Figu
         figures["by-lines"] = times_by_lines_figure(result)
         figures["size"] = size_figure(result)
     return figures
-
-
-def _script_json(tree: Mapping[str, Any]) -> str:
-    """JSON that cannot end the script element that holds it."""
-    text = json.dumps(tree, allow_nan=False, separators=(",", ":"))
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def _beam_row(number: int, beam: Segment, result: FlightResult) -> dict[str, Any]:

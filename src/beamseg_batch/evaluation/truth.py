@@ -1,0 +1,320 @@
+"""What stands there, and what of it a flight saw."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamseg_batch.errors import RunError, TruthError
+from beamseg_batch.evaluation.files import read_text, require_finite, vectors
+from beamseg_batch.evaluation.matching import Lines, closest_points, clusters
+from beamseg_batch.geometry import FloatArray
+from beamseg_batch.tables import TRUTH, TRUTH_JOINTS, ColumnArrays
+
+__all__ = [
+    "JOINT_M",
+    "MIN_SEEN_M",
+    "OWN_END_M",
+    "TrueJoint",
+    "Truth",
+    "load_truth",
+    "meeting_places",
+]
+
+MIN_SEEN_M = 0.3
+"""Shortest stretch that must have been seen of a member for it to count."""
+OWN_END_M = 0.03
+"""Within this, the end of what was seen is the member's own end."""
+JOINT_M = 0.1
+"""Within this, a joint is found; and so near must have been seen what meets there."""
+
+_PARALLEL = 1e-3  # sine of an angle below which two axes have no one place where they meet
+_WORLDS = (".yaml", ".yml", ".wbt")
+_ENDS = ("x1", "y1", "z1", "x2", "y2", "z2")
+_SEEN = tuple(f"o{name}" for name in _ENDS)
+
+
+@dataclass(frozen=True, eq=False)
+class TrueJoint:
+    """A place where members meet: `position` (3,) metres, `members` by index."""
+
+    position: FloatArray
+    members: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """Members as they stand. Metres, world frame.
+
+    Attributes
+    ----------
+    source : str
+        What it was read from.
+    names : tuple of str
+    axes : Lines
+        M of them, from own end to own end; the chord of a member that is bent.
+    seen : (M, 2, 3) float64
+        Ends of the longest stretch that was seen, in the direction of the axis; NaN if
+        nothing was.
+    radii : (M,) float64
+        Half the larger extent of a section that is not round.
+    shapes : tuple of str
+    bows : (M,) float64
+        Deviation of the axis from its chord at mid-length, never negative.
+    joints : tuple of TrueJoint
+    notes : tuple of str
+        What a reader of the figures must know.
+    """
+
+    source: str
+    names: tuple[str, ...]
+    axes: Lines
+    seen: FloatArray
+    radii: FloatArray
+    shapes: tuple[str, ...]
+    bows: FloatArray
+    joints: tuple[TrueJoint, ...]
+    notes: tuple[str, ...] = ()
+
+    @cached_property
+    def counts(self) -> NDArray[np.bool_]:
+        """(M,) bool: members of which enough was seen that a run should know them."""
+        lengths = np.linalg.norm(self.seen[:, 1] - self.seen[:, 0], axis=1)
+        # Files hold rounded numbers: what was seen 0.3 m of must not fail by their last digit.
+        counts: NDArray[np.bool_] = lengths >= MIN_SEEN_M - 1e-6
+        return counts
+
+    @cached_property
+    def spans(self) -> FloatArray:
+        """(M, 2) float64: what was seen, along the axis; all of a member that does not count."""
+        along = np.einsum("mek,mk->me", self.seen - self.axes.starts[:, None], self.axes.directions)
+        spans: FloatArray = np.where(self.counts[:, None], along, self.axes.whole)
+        return spans
+
+    @cached_property
+    def own_ends(self) -> NDArray[np.bool_]:
+        """(M, 2) bool: whether the ends of what was seen are those of the member."""
+        own = np.stack([self.axes.starts, self.axes.ends], axis=1)
+        near: NDArray[np.bool_] = np.linalg.norm(self.seen - own, axis=2) <= OWN_END_M
+        return near
+
+    @cached_property
+    def joint_counts(self) -> NDArray[np.bool_]:
+        """(J,) bool: joints near which at least two members that count were seen."""
+        return np.array([self._n_seen_at(joint) >= 2 for joint in self.joints], dtype=bool)
+
+    def _n_seen_at(self, joint: TrueJoint) -> int:
+        near = 0
+        for member in joint.members:
+            low, high = self.spans[member]
+            t = (joint.position - self.axes.starts[member]) @ self.axes.directions[member]
+            near += bool(self.counts[member] and low - JOINT_M <= t <= high + JOINT_M)
+        return near
+
+
+def load_truth(path: Path) -> Truth:
+    """Read a truth.
+
+    Parameters
+    ----------
+    path : Path
+        ``truth.csv``, its folder, or a world (``.yaml``, ``.yml``, ``.wbt``).
+
+    Returns
+    -------
+    Truth
+        The joints are those of the file ``…_joints.csv`` or ``…_intersections.csv`` beside
+        the table, and else where the members meet. A world, and a table without the
+        columns of what was seen, count as seen whole; a note says so.
+
+    Raises
+    ------
+    TruthError
+        If the file is no truth.
+    WorldError
+        If the world cannot be read.
+    """
+    path = path / TRUTH.file_name if path.is_dir() else path
+    if path.suffix.lower() in _WORLDS:
+        return _from_world(path)
+    try:
+        return _from_table(path)
+    except RunError as error:
+        raise TruthError(str(error)) from error
+
+
+def meeting_places(axes: Lines, radii: FloatArray) -> tuple[TrueJoint, ...]:
+    """Find where members meet.
+
+    Parameters
+    ----------
+    axes : Lines
+    radii : (M,) float64, metres
+
+    Returns
+    -------
+    tuple of TrueJoint
+        Two members meet where their axes, between their ends, come within the sum of
+        their radii; places within that reach of one another are one. Members that run
+        along one another have no one such place.
+    """
+    pairs, places, reaches = [], [], []
+    for i, j in _close_pairs(axes, radii):
+        on_i, on_j = closest_points(axes, i, j)
+        reach = radii[i] + radii[j]
+        if np.linalg.norm(on_i - on_j) <= reach and not _run_along(axes, i, j, reach):
+            pairs.append((i, j))
+            places.append((on_i + on_j) / 2.0)
+            reaches.append(reach)
+    positions = np.array(places).reshape(-1, 3)
+    return tuple(
+        TrueJoint(
+            positions[group].mean(axis=0), tuple(sorted({m for k in group for m in pairs[k]}))
+        )
+        for group in clusters(positions, np.array(reaches))
+    )
+
+
+def _close_pairs(axes: Lines, radii: FloatArray) -> NDArray[np.int64]:
+    """Pairs of members, (K, 2), whose boxes overlap: all others are too far from one another."""
+    low = np.minimum(axes.starts, axes.ends) - radii[:, None]
+    high = np.maximum(axes.starts, axes.ends) + radii[:, None]
+    pairs = [np.empty((0, 2), dtype=np.int64)]
+    for i in range(len(axes) - 1):
+        overlap = (low[i] <= high[i + 1 :]) & (low[i + 1 :] <= high[i])
+        others = np.flatnonzero(overlap.all(axis=1)) + i + 1
+        pairs.append(np.stack([np.full_like(others, i), others], axis=1))
+    return np.concatenate(pairs)
+
+
+def _run_along(axes: Lines, i: int, j: int, reach: float) -> bool:
+    sine = float(np.linalg.norm(np.cross(axes.directions[i], axes.directions[j])))
+    ends = np.array([axes.starts[j], axes.ends[j]])
+    low, high = np.sort((ends - axes.starts[i]) @ axes.directions[i])
+    beside = min(float(high), float(axes.lengths[i])) - max(float(low), 0.0)
+    return sine < _PARALLEL and beside > reach
+
+
+def _from_world(path: Path) -> Truth:
+    from beamseg_batch.world import load_scene_file
+
+    scene = load_scene_file(path).scene
+    if not scene.members:
+        raise TruthError(f"{path}: has no member with a known axis, so it is no truth")
+    axes = Lines.between(
+        np.array([member.start for member in scene.members], dtype=np.float64),
+        np.array([member.end for member in scene.members], dtype=np.float64),
+    )
+    radii = np.array([member.section.radius for member in scene.members])
+    return Truth(
+        source=str(path),
+        names=tuple(member.name for member in scene.members),
+        axes=axes,
+        seen=_whole(axes),
+        radii=radii,
+        shapes=tuple(member.section.shape for member in scene.members),
+        bows=np.abs([member.bow for member in scene.members]),
+        joints=meeting_places(axes, radii),
+        notes=(*scene.notes, "a world does not tell what was seen: members count as seen whole"),
+    )
+
+
+def _from_table(path: Path) -> Truth:
+    where = str(path)
+    required = ("id", *_ENDS, "radius")
+    columns = TRUTH.decode(read_text(path), where, required)
+    n = len(columns["id"])
+    if n == 0:
+        raise TruthError(f"{where}: has no member")
+    require_finite(columns, (*_ENDS, "radius"), where)
+    names = _unique_names(columns, where)
+    axes = _axes(columns, where)
+    radii = columns["radius"]
+    if not (radii > 0.0).all():
+        row = int(np.argmin(radii > 0.0))
+        raise TruthError(f"{where}: row {row + 1}: radius {radii[row]:g} must be above 0")
+    seen, notes = _seen(columns, axes, where)
+    shapes = columns.get("shape", np.full(n, "round", dtype=object))
+    return Truth(
+        source=where,
+        names=names,
+        axes=axes,
+        seen=seen,
+        radii=radii,
+        shapes=tuple(shapes.tolist()),
+        bows=np.nan_to_num(np.abs(columns.get("bow", np.zeros(n)))),
+        joints=_joints(path, names, axes, radii),
+        notes=notes,
+    )
+
+
+def _unique_names(columns: ColumnArrays, where: str) -> tuple[str, ...]:
+    names: dict[str, int] = {}
+    for row, name in enumerate(columns["id"].tolist(), start=1):
+        if names.setdefault(name, row) != row:
+            raise TruthError(f"{where}: row {row}: member {name!r} is in row {names[name]} already")
+    return tuple(names)
+
+
+def _axes(columns: ColumnArrays, where: str) -> Lines:
+    starts, ends = vectors(columns, _ENDS[:3]), vectors(columns, _ENDS[3:])
+    lengths = np.linalg.norm(ends - starts, axis=1)
+    if not (lengths > 0.0).all():
+        row = int(np.argmin(lengths > 0.0))
+        raise TruthError(f"{where}: row {row + 1}: member {columns['id'][row]!r} has no length")
+    return Lines.between(starts, ends)
+
+
+def _seen(columns: ColumnArrays, axes: Lines, where: str) -> tuple[FloatArray, tuple[str, ...]]:
+    """Ends of what was seen, in the direction of the axis, and what to say about them."""
+    missing = [name for name in _SEEN if name not in columns]
+    if len(missing) == len(_SEEN):
+        note = f"{where} does not tell what was seen: members count as seen whole"
+        return _whole(axes), (note,)
+    if missing:
+        raise TruthError(f"{where}: has no column {', '.join(missing)}")
+    seen = np.stack([vectors(columns, _SEEN[:3]), vectors(columns, _SEEN[3:])], axis=1)
+    for row in np.flatnonzero(~np.isfinite(seen).all(axis=(1, 2))):
+        if not np.isnan(seen[row]).all():
+            raise TruthError(
+                f"{where}: row {row + 1}: {_SEEN[0]} to {_SEEN[-1]} must be numbers, or all empty"
+            )
+    along = np.einsum("mek,mk->me", seen, axes.directions)
+    turned = along[:, 0] > along[:, 1]
+    seen[turned] = seen[turned][:, ::-1]
+    return seen, ()
+
+
+def _whole(axes: Lines) -> FloatArray:
+    return np.stack([axes.starts, axes.ends], axis=1)
+
+
+def _joints(
+    path: Path, names: Sequence[str], axes: Lines, radii: FloatArray
+) -> tuple[TrueJoint, ...]:
+    """Joints of the file beside the truth, else those of the axes."""
+    for ending in ("joints", "intersections"):
+        beside = path.with_name(f"{path.stem}_{ending}.csv")
+        if beside.is_file():
+            return _joints_from_table(beside, names)
+    return meeting_places(axes, radii)
+
+
+def _joints_from_table(path: Path, names: Sequence[str]) -> tuple[TrueJoint, ...]:
+    where = str(path)
+    columns = TRUTH_JOINTS.decode(read_text(path), where)
+    require_finite(columns, ("x", "y", "z"), where)
+    places = {name: index for index, name in enumerate(names)}
+    joints = []
+    for row, position in enumerate(vectors(columns, ("x", "y", "z"))):
+        met = columns["ids"][row].split(";")
+        unknown = [name for name in met if name not in places]
+        if unknown:
+            raise TruthError(f"{where}: row {row + 1}: the truth has no member {unknown[0]!r}")
+        joints.append(TrueJoint(position, tuple(places[name] for name in met)))
+    return tuple(joints)

@@ -1,0 +1,285 @@
+"""Parts of plotly figures: dicts of traces and layout.
+
+Plain dicts instead of plotly's classes keep plotly out of the import, and let the numbers
+travel as base64 of their bytes, which plotly.js reads and which is a third of their text.
+A colour such as ``$beam`` is replaced by the page with that of its light or dark theme.
+"""
+
+from __future__ import annotations
+
+import base64
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamseg_batch.geometry import FloatArray
+
+__all__ = [
+    "ROUND_LIGHTING",
+    "Figure",
+    "Mesh",
+    "axes_layout",
+    "cylinder_mesh",
+    "mesh_trace",
+    "octahedron_mesh",
+    "positions",
+    "scene_layout",
+    "thinned",
+    "typed",
+]
+
+Figure: TypeAlias = dict[str, Any]
+"""A plotly figure: `data`, a list of traces, and `layout`."""
+
+ROUND_LIGHTING = {"ambient": 0.55, "diffuse": 0.8, "specular": 0.2, "roughness": 0.6}
+"""Light that makes a cylinder look round."""
+
+_SIDES, _FEW_SIDES, _MANY_CYLINDERS = 12, 6, 1_000
+_RING_SPACING_M = 0.4
+_MAX_RINGS = 8
+_MAX_VERTICES = 30_000
+
+_EYE_DIRECTION = np.array([0.66, -0.66, 0.36])
+_HALF_VIEW = np.tan(np.pi / 8)  # plotly.js sees 45 degrees
+_FILL_ACROSS, _FILL_UP = 0.8, 0.9  # of the view; the names of the axes need the rest
+_LABELS_LEFT, _LABELS_BELOW = 0.07, 0.04  # of the view: where axes are named
+_OCTAHEDRON = np.array(
+    [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]]
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Many bodies in one triangle mesh.
+
+    Attributes
+    ----------
+    vertices : (V, 3) float32, metres
+    triangles : (T, 3) uint32
+        Indices into `vertices`.
+    counts : (N,) int64
+        Vertices of each body; those of a body follow one another.
+    """
+
+    vertices: NDArray[np.float32]
+    triangles: NDArray[np.uint32]
+    counts: NDArray[np.int64]
+
+
+def cylinder_mesh(ends: FloatArray, radii: FloatArray) -> Mesh:
+    """Build closed cylinders.
+
+    Parameters
+    ----------
+    ends : (N, 2, 3) float64, metres
+        Ends of the axes; where they do not differ, a disc.
+    radii : (N,) float64, metres
+
+    Returns
+    -------
+    Mesh
+
+    Notes
+    -----
+    A label shows at the vertex that lies nearest to the pointer, so a long cylinder has
+    rings between its ends, as far as the number of vertices allows.
+    """
+    sides = _SIDES if len(ends) <= _MANY_CYLINDERS else _FEW_SIDES
+    max_rings = _MAX_VERTICES // (sides * max(len(ends), 1))
+    max_rings = min(max(max_rings, 2), _MAX_RINGS)
+    vertices: list[FloatArray] = [np.empty((0, 3))]
+    triangles: list[NDArray[np.int64]] = [np.empty((0, 3), dtype=np.int64)]
+    offset = 0
+    for (start, end), radius in zip(ends, radii, strict=True):
+        length = float(np.linalg.norm(end - start))
+        rings = int(np.clip(np.ceil(length / _RING_SPACING_M) + 1, 2, max_rings))
+        vertices.append(_cylinder_vertices(start, end, float(radius), rings, sides))
+        triangles.append(_cylinder_triangles(rings, sides) + offset)
+        offset += len(vertices[-1])
+    return Mesh(
+        np.concatenate(vertices).astype(np.float32),
+        np.concatenate(triangles).astype(np.uint32),
+        np.array([len(cylinder) for cylinder in vertices[1:]], dtype=np.int64),
+    )
+
+
+def octahedron_mesh(centres: FloatArray, reach: FloatArray) -> Mesh:
+    """Build octahedra: marks with a size in metres.
+
+    Parameters
+    ----------
+    centres : (N, 3) float64, metres
+    reach : (N,) float64, metres
+        From the centre to a corner.
+
+    Returns
+    -------
+    Mesh
+    """
+    corners = np.concatenate([np.eye(3), -np.eye(3)])
+    vertices = (centres[:, None, :] + reach[:, None, None] * corners).reshape(-1, 3)
+    offsets = np.arange(len(centres))[:, None, None] * len(corners)
+    return Mesh(
+        vertices.astype(np.float32),
+        (_OCTAHEDRON + offsets).reshape(-1, 3).astype(np.uint32),
+        np.full(len(centres), len(corners), dtype=np.int64),
+    )
+
+
+def mesh_trace(name: str, colour: str, mesh: Mesh, labels: Sequence[str]) -> dict[str, Any]:
+    """Make the trace of a mesh.
+
+    Parameters
+    ----------
+    name, colour : str
+    mesh : Mesh
+    labels : sequence of str
+        One per body, HTML. The page makes one per vertex of them, by the counts in `meta`.
+
+    Returns
+    -------
+    dict
+        Lit as round bodies; set `flatshading` and `lighting` for others.
+    """
+    return {
+        "type": "mesh3d",
+        "name": name,
+        "showlegend": True,
+        "color": colour,
+        "flatshading": False,
+        "lighting": ROUND_LIGHTING,
+        "hoverinfo": "text",
+        "meta": {"labels": list(labels), "counts": mesh.counts.tolist()},
+        **positions(mesh.vertices),
+        **{name: typed(mesh.triangles[:, k]) for k, name in enumerate("ijk")},
+    }
+
+
+def scene_layout(shown: FloatArray) -> dict[str, Any]:
+    """Lay out a scene with equal scales, metres, seen so that it fills the view.
+
+    Parameters
+    ----------
+    shown : (N, 3), metres
+        Points that must be in view; those that are not finite do not count.
+
+    Returns
+    -------
+    dict
+    """
+    axes = {f"{axis}axis": {"title": {"text": f"{axis} [m]"}} for axis in "xyz"}
+    scene = {"aspectmode": "data", "dragmode": "turntable", "camera": _camera(shown), **axes}
+    legend = {"orientation": "h", "x": 0, "y": 1, "yanchor": "bottom", "itemsizing": "constant"}
+    return {"scene": scene, "legend": legend, "margin": {"l": 0, "r": 0, "t": 36, "b": 0}}
+
+
+def axes_layout(across: str, up: str) -> dict[str, Any]:
+    """Lay out a figure with two named axes."""
+    return {
+        "xaxis": {"title": {"text": across}},
+        "yaxis": {"title": {"text": up}},
+        "margin": {"l": 56, "r": 12, "t": 12, "b": 48},
+        "showlegend": False,
+    }
+
+
+def positions(points: NDArray[Any]) -> dict[str, dict[str, str]]:
+    """Give points, (N, 3), as the `x`, `y` and `z` of a trace."""
+    points = points.astype(np.float32)
+    return {axis: typed(points[:, number]) for number, axis in enumerate("xyz")}
+
+
+def typed(values: NDArray[Any]) -> dict[str, str]:
+    """Give numbers as plotly.js reads them fastest: little-endian bytes in base64."""
+    kind = {"f": "<f4", "i": "<i4", "u": "<u4"}[values.dtype.kind]
+    if kind == "<u4" and values.max(initial=0) < 2**16:
+        kind = "<u2"
+    data = np.ascontiguousarray(values, dtype=np.dtype(kind)).tobytes()
+    return {"dtype": kind[1:], "bdata": base64.b64encode(data).decode("ascii")}
+
+
+def thinned(size: int, limit: int) -> NDArray[np.int64]:
+    """Choose indices that leave at most `limit` of `size` rows, evenly spread.
+
+    Parameters
+    ----------
+    size, limit : int
+
+    Returns
+    -------
+    (min(size, limit),) int64
+        Ascending, the same for the same arguments.
+    """
+    if size <= limit:
+        return np.arange(size, dtype=np.int64)
+    return np.arange(limit, dtype=np.int64) * size // max(limit, 1)
+
+
+def _camera(shown: FloatArray) -> dict[str, dict[str, float]]:
+    """Where to look from, and at what, to fill the view, in the scene's own unit.
+
+    With equal scales that unit is the geometric mean of the three extents of what is shown,
+    and its origin the middle of it.
+    """
+    shown = shown[np.isfinite(shown).all(axis=1)]
+    extent = np.maximum(np.ptp(shown, axis=0), 0.1) if len(shown) else np.ones(3)
+    aspect = extent / np.cbrt(extent.prod())
+    corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * aspect
+    back = _EYE_DIRECTION / np.linalg.norm(_EYE_DIRECTION)
+    right = np.cross([0.0, 0.0, 1.0], back)
+    right /= np.linalg.norm(right)
+    up = np.cross(back, right)
+    centre, distance = np.zeros(3), 2.0 * float(np.linalg.norm(aspect))
+    for _ in range(30):  # nearer things look larger, so size and middle settle step by step
+        seen = corners - centre
+        depth = np.maximum(distance - seen @ back, 0.1 * distance) * _HALF_VIEW
+        across, upward = seen @ right / depth, seen @ up / depth
+        fill = max(np.ptp(across) / 2 / _FILL_ACROSS, np.ptp(upward) / 2 / _FILL_UP)
+        aside = (across.max() + across.min()) / 2 - _LABELS_LEFT
+        above = (upward.max() + upward.min()) / 2 - _LABELS_BELOW
+        centre += right * (aside * distance * _HALF_VIEW)
+        centre[2] += above * distance * _HALF_VIEW / up[2]
+        distance *= fill
+    return {"eye": _named(centre + distance * back), "center": _named(centre)}
+
+
+def _named(position: FloatArray) -> dict[str, float]:
+    return {axis: round(float(value), 3) for axis, value in zip("xyz", position, strict=True)}
+
+
+def _cylinder_vertices(
+    start: FloatArray, end: FloatArray, radius: float, rings: int, sides: int
+) -> FloatArray:
+    """Rings from end to end, then the centres of the two caps: (rings * sides + 2, 3)."""
+    length = np.linalg.norm(end - start)
+    direction = (end - start) / length if length > 0.0 else np.array([0.0, 0.0, 1.0])
+    helper = np.eye(3)[np.argmin(np.abs(direction))]
+    across = np.cross(direction, helper)
+    across /= np.linalg.norm(across)
+    beside = np.cross(direction, across)
+    phase = np.arange(sides) * (2 * np.pi / sides)
+    ring = radius * (np.outer(np.cos(phase), across) + np.outer(np.sin(phase), beside))
+    centres = start + np.outer(np.linspace(0.0, 1.0, rings), end - start)
+    wall = (centres[:, None, :] + ring[None, :, :]).reshape(-1, 3)
+    return np.concatenate([wall, centres[[0, -1]]])
+
+
+def _cylinder_triangles(rings: int, sides: int) -> NDArray[np.int64]:
+    """Triangles of `_cylinder_vertices`: two per side and step, one per side and cap."""
+    here = np.arange(sides)
+    following = (here + 1) % sides
+    steps = (np.arange(rings - 1) * sides)[:, None]
+    lower_1, lower_2 = steps + here, steps + following
+    upper_1, upper_2 = lower_1 + sides, lower_2 + sides
+    corners = ((lower_1, lower_2, upper_1), (lower_2, upper_2, upper_1))
+    wall = [np.stack(triple, axis=-1).reshape(-1, 3) for triple in corners]
+    last, centre = (rings - 1) * sides, rings * sides
+    caps = [
+        np.stack([following, here, np.full(sides, centre)], axis=1),
+        np.stack([here + last, following + last, np.full(sides, centre + 1)], axis=1),
+    ]
+    return np.concatenate([*wall, *caps])

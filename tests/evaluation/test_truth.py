@@ -1,0 +1,248 @@
+"""What stands there, and what of it a flight saw."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from beamseg_batch.errors import TruthError
+from beamseg_batch.evaluation import load_truth
+from beamseg_batch.evaluation.matching import Lines
+from beamseg_batch.evaluation.truth import meeting_places
+from tests.evaluation.structures import scattered, truth_of, write_truth
+
+TRUTHS = Path(__file__).parents[1] / "data" / "truths"
+SAMPLES = Path(__file__).parents[2] / "data" / "samples"
+HEADER = "id,x1,y1,z1,x2,y2,z2,radius"
+
+
+def members_of(truth, joint):
+    return {truth.names[m] for m in joint.members}
+
+
+def meeting(ends, radius=0.05):
+    ends = np.asarray(ends, dtype=np.float64)
+    return meeting_places(Lines.between(ends[:, 0], ends[:, 1]), np.full(len(ends), radius))
+
+
+# Flights with truth
+
+
+@pytest.mark.parametrize(
+    ("name", "members", "seen", "all_joints"),
+    [("tower", 76, 48, 52), ("webots_tests", 7, 2, 2)],
+)
+def test_load_truth__counts_of_the_flights(name, members, seen, all_joints, tmp_path):
+    """Of the tower's 52 joints four stand on the floor, which no flight saw."""
+    truth = load_truth(TRUTHS / f"{name}.csv")
+    assert truth.counts.sum() == members
+    assert truth.joint_counts.sum() == len(truth.joints) == seen
+    alone = tmp_path / "truth.csv"
+    alone.write_bytes((TRUTHS / f"{name}.csv").read_bytes())
+    computed = load_truth(alone)
+    assert len(computed.joints) == all_joints
+    assert computed.joint_counts.sum() == seen
+
+
+@pytest.mark.parametrize("name", ["tower", "webots_tests"])
+def test_meeting_places__are_those_of_the_flights(name):
+    truth = load_truth(TRUTHS / f"{name}.csv")
+    computed = meeting_places(truth.axes, truth.radii)
+    for joint in truth.joints:
+        near = min(computed, key=lambda other: np.linalg.norm(other.position - joint.position))
+        assert np.linalg.norm(near.position - joint.position) < 1e-4
+        assert members_of(truth, near) == members_of(truth, joint)
+
+
+def test_load_truth__which_ends_are_the_members_own():
+    """The tower's legs stand on the floor, where they are not seen; the fifth member of the
+    arena is cut as well."""
+    tower = load_truth(TRUTHS / "tower.csv")
+    assert tower.own_ends[:4].tolist() == [[False, True]] * 4
+    assert tower.own_ends[4:28].all()
+    arena = load_truth(TRUTHS / "webots_tests.csv")
+    assert np.argwhere(~arena.own_ends).tolist() == [[4, 0]]
+    assert np.diff(arena.spans)[4, 0] == pytest.approx(1.86, abs=1e-4)
+
+
+# Worlds
+
+
+def test_load_truth__webots_world_has_the_axes_of_the_flight():
+    truth, table = (
+        load_truth(Path(__file__).parents[1] / "data" / "webots_tests.wbt"),
+        load_truth(TRUTHS / "webots_tests.csv"),
+    )
+    assert len(truth.names) == 7
+    for k in range(7):
+        distances = [
+            np.linalg.norm([truth.axes.starts[k] - one, truth.axes.ends[k] - other], axis=1).max()
+            for start, end in zip(table.axes.starts, table.axes.ends, strict=True)
+            for one, other in ((start, end), (end, start))
+        ]
+        assert min(distances) < 1e-3
+    assert len(truth.joints) == truth.joint_counts.sum() == 2
+    assert "count as seen whole" in truth.notes[-1]
+
+
+def test_load_truth__world_without_members(tmp_path):
+    world = tmp_path / "empty.wbt"
+    world.write_text("#VRML_SIM R2021b utf8\nWorldInfo {\n}\n")
+    with pytest.raises(TruthError, match="has no member with a known axis"):
+        load_truth(world)
+
+
+# Tables
+
+
+def test_load_truth__reads_what_the_tables_write(tmp_path):
+    ends = scattered(5)
+    seen = ends + 0.1 * (ends[:, ::-1] - ends)
+    truth = truth_of(ends, seen, radii=[0.05, 0.1, 0.03, 0.05, 0.05], bows=0.02)
+    back = load_truth(write_truth(tmp_path / "truth.csv", truth))
+    np.testing.assert_allclose(back.axes.starts, truth.axes.starts, atol=1e-6)
+    np.testing.assert_allclose(back.seen, truth.seen, atol=1e-6)
+    np.testing.assert_allclose(back.radii, truth.radii)
+    np.testing.assert_allclose(back.bows, 0.02)
+    assert back.names == truth.names
+    assert back.notes == ()
+
+
+def test_load_truth__from_its_folder(tmp_path):
+    write_truth(tmp_path / "truth" / "truth.csv", truth_of(scattered(2)))
+    assert len(load_truth(tmp_path / "truth").names) == 2
+
+
+def test_load_truth__seen_ends_in_the_other_order(tmp_path):
+    ends = scattered(3)
+    truth = load_truth(write_truth(tmp_path / "t.csv", truth_of(ends, seen=ends[:, ::-1])))
+    np.testing.assert_allclose(truth.seen, ends, atol=1e-6)
+    assert truth.own_ends.all()
+
+
+def test_load_truth__members_hardly_seen(tmp_path):
+    """0.3 m counts, as the file rounds it; less, and nothing at all, does not."""
+    ends = np.array([[[0.0, k, 1.0], [2.0, k, 1.0]] for k in range(3)])
+    seen = ends.copy()
+    seen[0, 1, 0], seen[1, 1, 0], seen[2] = 0.3, 0.29, np.nan
+    truth = load_truth(write_truth(tmp_path / "t.csv", truth_of(ends, seen)))
+    assert truth.counts.tolist() == [True, False, False]
+    assert truth.spans.tolist() == [[0.0, 0.3], [0.0, 2.0], [0.0, 2.0]]
+
+
+def test_load_truth__table_without_what_was_seen():
+    truth = load_truth(SAMPLES / "arena_truth.csv")
+    assert truth.own_ends.all()
+    assert [members_of(truth, joint) for joint in truth.joints] == [{"1", "2"}, {"1", "5"}]
+    assert "does not tell what was seen" in truth.notes[0]
+
+
+def test_load_truth__joints_file_comes_before_the_axes(tmp_path):
+    table = write_truth(tmp_path / "t.csv", truth_of(scattered(2)))
+    (tmp_path / "t_joints.csv").write_text("ids,x,y,z\n1;2,9,8,7\n")
+    assert load_truth(table).joints[0].position.tolist() == [9.0, 8.0, 7.0]
+
+
+@pytest.mark.parametrize(
+    ("rows", "reason"),
+    [
+        ([], "has no member"),
+        (["1,0,0,0,1,0,0,0.05", "2,0,0,nan,1,0,0,0.05"], "row 2: z1 is nan, not a number"),
+        (["1,0,0,0,1,0,0,"], "row 1: radius is nan, not a number"),
+        (["1,0,0,0,1,0,inf,0.05"], "row 1: z2 is inf"),
+        (["1,0,0,0,1,0,0,0"], "row 1: radius 0 must be above 0"),
+        (["1,0,0,0,1,0,0,0.05", "7,1,1,1,1,1,1,0.05"], "row 2: member '7' has no length"),
+        (["1,0,0,0,1,0,0,0.05"] * 2, "row 2: member '1' is in row 1 already"),
+        (["1,0,0,0,1,0,0"], "row 1 has 7 values, the header 8; it ends on line 2"),
+        (["1,0,0,0,1,0,0,0.05", "", "2,0,0,0,1,0,O,0.05"], "column z2: line 4: could not convert"),
+    ],
+)
+def test_load_truth__broken_rows(tmp_path, rows, reason):
+    file = tmp_path / "truth.csv"
+    file.write_text("\n".join([HEADER, *rows]) + "\n")
+    with pytest.raises(TruthError, match=f"truth.csv: {reason}"):
+        load_truth(file)
+
+
+@pytest.mark.parametrize(
+    ("header", "reason"),
+    [
+        ("", "is empty"),
+        ("a,b", "has no column id, x1, y1, z1, x2, y2, z2, radius"),
+        (f"{HEADER},ox1,oy1", "has no column oz1, ox2, oy2, oz2"),
+    ],
+)
+def test_load_truth__missing_columns(tmp_path, header, reason):
+    file = tmp_path / "truth.csv"
+    row = ",".join(str(k) for k in range(len(header.split(","))))
+    file.write_text(f"{header}\n{row}\n" if header else "")
+    with pytest.raises(TruthError, match=reason):
+        load_truth(file)
+
+
+def test_load_truth__half_of_what_was_seen(tmp_path):
+    file = tmp_path / "truth.csv"
+    file.write_text(f"{HEADER},ox1,oy1,oz1,ox2,oy2,oz2\n1,0,0,0,1,0,0,0.05,0,0,0,,,\n")
+    with pytest.raises(TruthError, match="row 1: ox1 to oz2 must be numbers, or all empty"):
+        load_truth(file)
+
+
+def test_load_truth__joint_of_an_unknown_member(tmp_path):
+    table = write_truth(tmp_path / "t.csv", truth_of(scattered(2)))
+    (tmp_path / "t_joints.csv").write_text("ids,x,y,z\n1;2,0,0,0\n1;9,0,0,0\n")
+    with pytest.raises(TruthError, match=r"t_joints\.csv: row 2: the truth has no member '9'"):
+        load_truth(table)
+
+
+def test_load_truth__folder_without_a_table(tmp_path):
+    with pytest.raises(TruthError, match=r"truth\.csv: cannot be read"):
+        load_truth(tmp_path)
+
+
+def test_load_truth__not_text(tmp_path):
+    (tmp_path / "truth.csv").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(TruthError, match="is not UTF-8 text"):
+        load_truth(tmp_path)
+
+
+# Where members meet
+
+
+def test_meeting_places__within_the_sum_of_the_radii():
+    cross = [[[-1, 0, 0], [1, 0, 0]], [[0, -1, 0.099], [0, 1, 0.099]]]
+    (joint,) = meeting(cross)
+    np.testing.assert_allclose(joint.position, [0.0, 0.0, 0.0495], atol=1e-12)
+    assert joint.members == (0, 1)
+    assert meeting([cross[0], [[0, -1, 0.101], [0, 1, 0.101]]]) == ()
+
+
+def test_meeting_places__end_on_the_others_surface():
+    (joint,) = meeting([[[-1, 0, 0], [1, 0, 0]], [[0, 0.05, 0], [0, 1, 0]]])
+    np.testing.assert_allclose(joint.position, [0.0, 0.025, 0.0], atol=1e-12)
+    assert meeting([[[-1, 0, 0], [1, 0, 0]], [[0, 0.2, 0], [0, 1, 0]]]) == ()
+
+
+def test_meeting_places__several_members_at_one_place():
+    rng = np.random.default_rng(3)
+    (joint,) = meeting([[[1, 2, 3], rng.normal(size=3)] for _ in range(5)])
+    np.testing.assert_allclose(joint.position, [1.0, 2.0, 3.0], atol=1e-9)
+    assert joint.members == (0, 1, 2, 3, 4)
+
+
+def test_meeting_places__end_to_end_and_side_by_side():
+    one = [[0, 0, 0], [1, 0, 0]]
+    (joint,) = meeting([one, [[1, 0, 0], [2, 0, 0]]])
+    np.testing.assert_allclose(joint.position, [1.0, 0.0, 0.0], atol=1e-12)
+    assert meeting([one, [[0.2, 0.08, 0], [0.9, 0.08, 0]]]) == ()
+
+
+def test_joint_counts__two_members_must_be_seen_there():
+    ends = np.array([[[0, 0, 0], [2, 0, 0]], [[0, 0, 0], [0, 2, 0]]], dtype=float)
+    seen = ends.copy()
+    assert truth_of(ends, seen).joint_counts.tolist() == [True]
+    seen[1, 0, 1] = 0.09
+    assert truth_of(ends, seen).joint_counts.tolist() == [True]
+    seen[1, 0, 1] = 0.2
+    assert truth_of(ends, seen).joint_counts.tolist() == [False]
