@@ -97,6 +97,10 @@ class SensorConfig(Node):
     """Camera pose on the drone; null takes it from tf when allowed, else identity."""
     extrinsic_from_tf: bool = True
     """Whether /tf_static may give the extrinsic."""
+    noise_m: Positive | None = None
+    """Standard deviation of the depth, metres; null measures it in the flight."""
+    noise_relative: NonNegative | None = None
+    """What is added to it in proportion to the depth; null measures it, or is 0 beside noise_m."""
 
 
 class WindowConfig(Node):
@@ -175,6 +179,9 @@ class DetectionConfig(Node):
 
     hough: HoughConfig = HoughConfig()
     screening: ScreeningConfig = ScreeningConfig()
+    axis: Literal["cylinder", "centroid"] = "cylinder"
+    """cylinder: fit a cylinder to the returns near the line, along their rays;
+    centroid: the line runs through the visible surface, as in the report."""
 
 
 class ThresholdConfig(Node):
@@ -209,16 +216,25 @@ class StructureConfig(Node):
 
     similarity: Literal["parameters", "midpoint", "projection"] = "projection"
     """When two segments are the same beam: solution 1, 2 or 3 of the report's section 3.2.6."""
-    fusion: Literal["mean", "weighted"] = "weighted"
-    """How they become one: solution 1 or 2."""
+    fusion: Literal["mean", "weighted", "evidence"] = "evidence"
+    """How they become one: solution 1 or 2 of the report, or as hypotheses that all rays of the
+    flight are asked about in further passes (refinement); similarity and thresholds are the
+    report's and not used then."""
     min_weight: Share = 0.01
     """w_min: smallest weight of the new segment in a weighted fusion."""
     thresholds: ThresholdConfig = ThresholdConfig()
-    min_scans: Annotated[int, Field(ge=1, le=2**31)] = 1
+    min_scans: Annotated[int, Field(ge=1, le=2**31)] = 3
     """Segments seen in fewer scans are left out of the result."""
-    min_length: NonNegative = 0.0
+    min_length: NonNegative = 0.3
     """Shorter segments are left out of the result, metres."""
     intersections: IntersectionConfig = IntersectionConfig()
+
+
+class RefinementConfig(Node):
+    """Further passes over the recording, with structure.fusion: evidence."""
+
+    passes: Annotated[int, Field(ge=0, le=100)] = 8
+    """How often the recording is read again to ask all rays about the beams found so far."""
 
 
 class OutputConfig(Node):
@@ -245,6 +261,7 @@ class RunConfig(Node):
     filtering: FilteringConfig = FilteringConfig()
     detection: DetectionConfig = DetectionConfig()
     structure: StructureConfig = StructureConfig()
+    refinement: RefinementConfig = RefinementConfig()
     outputs: OutputConfig = OutputConfig()
 
 

@@ -19,6 +19,7 @@ from beamseg_batch.geometry import FloatArray, RigidTransform
 
 __all__ = [
     "STAGES",
+    "DepthNoise",
     "Detections",
     "FlightResult",
     "Intersection",
@@ -52,6 +53,25 @@ class Trajectory:
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
+
+
+@dataclass(frozen=True)
+class DepthNoise:
+    """Standard deviation of a pixel's depth along the camera's forward axis.
+
+    Attributes
+    ----------
+    constant : float, metres
+    relative : float
+        Share of the depth, added as the square.
+    """
+
+    constant: float
+    relative: float = 0.0
+
+    def at(self, depth: float) -> float:
+        """Standard deviation at a forward depth, metres."""
+        return float(np.hypot(self.constant, self.relative * depth))
 
 
 @dataclass(frozen=True, eq=False)

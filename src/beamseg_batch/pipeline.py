@@ -4,18 +4,25 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Protocol
 
 import numpy as np
 
 from beamseg_batch.config import RunConfig
-from beamseg_batch.detection import Detector
+from beamseg_batch.detection import Detector, depth_noise
 from beamseg_batch.errors import BeamsegError, NoScansError
 from beamseg_batch.geometry import RigidTransform
-from beamseg_batch.model import Detections, FlightResult, Scan, ScanRecord, SkippedScan
+from beamseg_batch.model import (
+    DepthNoise,
+    Detections,
+    FlightResult,
+    Scan,
+    ScanRecord,
+    SkippedScan,
+)
 from beamseg_batch.recording import Flight, Recording, open_flight
-from beamseg_batch.structure import Structure, ThinnedCloud
+from beamseg_batch.structure import EvidenceStructure, Structure, ThinnedCloud
 
 __all__ = ["Progress", "process_flight"]
 
@@ -78,11 +85,13 @@ def process_flight(
     """
     progress = progress or _NobodyWatches()
     flight = open_flight(recording, config)
-    _warm_up()
-    detect = Detector(config)
-    structure = Structure(config)
+    _warm_up(config)
+    noise = depth_noise(_usable(flight), config.sensor)
+    detect = Detector(config, noise)
+    structure = _structure(config, noise)
     log = _FlightLog(config)
-    progress.begin(flight.n_clouds)
+    passes = config.refinement.passes if isinstance(structure, EvidenceStructure) else 0
+    progress.begin(flight.n_clouds * (1 + passes))
     try:
         for scan in flight.scans():
             if isinstance(scan, SkippedScan):
@@ -96,6 +105,8 @@ def process_flight(
             if should_stop():
                 log.stop(f"interrupted after {log.n_clouds} of {flight.n_clouds} clouds")
                 break
+        if isinstance(structure, EvidenceStructure):
+            _refine(structure, flight, passes, log, progress, should_stop)
     except BeamsegError as error:
         if not log.scans:
             raise
@@ -104,7 +115,40 @@ def process_flight(
     return log.result(flight, structure)
 
 
-def _warm_up() -> None:
+def _refine(
+    structure: EvidenceStructure,
+    flight: Flight,
+    passes: int,
+    log: _FlightLog,
+    progress: Progress,
+    should_stop: Callable[[], bool],
+) -> None:
+    """Ask all rays of the flight about the beams found so far, pass by pass."""
+    for number in range(passes):
+        if log.interrupted:
+            return
+        structure.refine(_watched(_usable(flight), progress, len(structure)), number)
+        if should_stop():
+            log.stop(f"interrupted after pass {number + 1} of {passes} over the rays")
+
+
+def _usable(flight: Flight) -> Iterator[Scan]:
+    return (scan for scan in flight.scans() if isinstance(scan, Scan))
+
+
+def _watched(scans: Iterator[Scan], progress: Progress, n_segments: int) -> Iterator[Scan]:
+    for scan in scans:
+        yield scan
+        progress.step(n_segments)
+
+
+def _structure(config: RunConfig, noise: DepthNoise) -> Structure | EvidenceStructure:
+    if config.structure.fusion == "evidence":
+        return EvidenceStructure(config, noise)
+    return Structure(config)
+
+
+def _warm_up(like: RunConfig) -> None:
     """Load or compile every kernel, so that no scan's time contains it.
 
     A made-up scan of two beams that cross is detected and fused twice; nothing of it is
@@ -128,11 +172,16 @@ def _warm_up() -> None:
         width=len(beams),
         height=1,
     )
-    config = RunConfig()
-    detect, structure = Detector(config), Structure(config)
-    for _ in range(2):
+    config = RunConfig.model_validate(
+        {"structure": {"fusion": like.structure.fusion}, "detection": {"axis": like.detection.axis}}
+    )
+    detect, structure = Detector(config), _structure(config, DepthNoise(0.01))
+    for _ in range(3):
         detections = detect(scan)
         structure.update(detections)
+    if isinstance(structure, EvidenceStructure):
+        for number in range(2):
+            structure.refine([scan], number)
     structure.intersections()
     ThinnedCloud(len(beams), 0.1).add(detections.cloud)
 
@@ -210,7 +259,7 @@ class _FlightLog:
                 "(sensor axes, x forward); see filtering.window"
             )
 
-    def result(self, flight: Flight, structure: Structure) -> FlightResult:
+    def result(self, flight: Flight, structure: Structure | EvidenceStructure) -> FlightResult:
         return FlightResult(
             segments=structure.segments(),
             intersections=structure.intersections(),

@@ -9,11 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from beamseg_batch.config import RunConfig
+from beamseg_batch.detection.axis import Returns, fit_segment_axis
 from beamseg_batch.detection.filtering import crop_scan, voxel_grid
 from beamseg_batch.detection.hough import iterative_hough
+from beamseg_batch.detection.noise import DEFAULT_NOISE
 from beamseg_batch.detection.screening import Rejection, screen
 from beamseg_batch.geometry import FloatArray, RigidTransform, distances_to_line, line_parameters
-from beamseg_batch.model import Detections, Scan, Segment
+from beamseg_batch.model import DepthNoise, Detections, Scan, Segment
 
 __all__ = ["Detector"]
 
@@ -24,10 +26,13 @@ class Detector:
     Parameters
     ----------
     config : RunConfig
+    noise : DepthNoise, optional
+        Of the camera; needed for ``detection.axis: cylinder``.
     """
 
-    def __init__(self, config: RunConfig) -> None:
+    def __init__(self, config: RunConfig, noise: DepthNoise = DEFAULT_NOISE) -> None:
         self.config = config
+        self.noise = noise
 
     def __call__(self, scan: Scan) -> Detections:
         """Find the segments of one scan.
@@ -57,6 +62,9 @@ class Detector:
             segments, lines = self._search(cloud, radius, rejections, clock)
             found += segments
             num_lines += lines
+        if self.config.detection.axis == "cylinder" and found:
+            returns = Returns(scan, self.noise)
+            found = [fit_segment_axis(segment, returns) for segment in found]
         T_world_sensor = scan.T_world_sensor
         in_world = [_to_world(segment, T_world_sensor, scan.stamp_ns) for segment in found]
         in_world = self._above_floor(in_world, rejections)

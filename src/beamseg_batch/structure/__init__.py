@@ -1,6 +1,7 @@
-"""Segments -> structure: similarity, fusion and intersections, in time order."""
+"""Segments -> structure: fused as they come, or as hypotheses that all rays are asked about."""
 
 from beamseg_batch.structure.cloud import ThinnedCloud
+from beamseg_batch.structure.evidence import EvidenceStructure
 from beamseg_batch.structure.structure import Structure
 
-__all__ = ["Structure", "ThinnedCloud"]
+__all__ = ["EvidenceStructure", "Structure", "ThinnedCloud"]

@@ -1,0 +1,276 @@
+"""Kernel that asks every ray of a scan what it says about each beam of a hypothesis.
+
+A ray that returned from where a beam's surface is *explains* it; one that returned from
+behind, or not at all, *saw through* it; one that returned from before it, or whose way is
+blocked by another beam, says nothing. Beams compete: a return that another beam explains
+as well is no evidence. Everything is in the sensor frame.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamseg_batch.accelerate import kernel
+from beamseg_batch.cylinder.ray_kernels import enter_cylinder, finite_depth
+from beamseg_batch.geometry import FloatArray
+
+__all__ = ["COARSE", "FINE", "NORMAL_COLUMNS", "gather"]
+
+FINE = 0.004
+"""Length of a bin of the likelihood along an axis, metres."""
+
+COARSE = 0.02
+"""Length of a bin of the normal equations along an axis, metres."""
+
+NORMAL_COLUMNS = 18
+"""Ten products of the derivatives, four with the residual, its square, rays, weight, all hits."""
+
+_MOST = 8  # beams that one ray is held against
+_GATE = 4.0  # a residual of so many sigmas is still explained
+_THROUGH = -4.0  # log-likelihood ratio of a ray that saw through
+_EDGE = 0.8  # share of the radius beyond which a ray that passes proves nothing
+_MIN_INCIDENCE = 0.2
+_CONTESTED = 2.0  # sigmas by which a ray must fit one beam better than any other
+
+
+@kernel
+def _pixels(
+    a: FloatArray,
+    b: FloatArray,
+    begin: float,
+    end: float,
+    radius: float,
+    width: int,
+    height: int,
+    image: FloatArray,
+) -> tuple[int, int, int, int]:
+    """First row, row past the last, and the same of columns that a beam can appear in.
+
+    A straight line is straight in the image, so what lies between two balls around its
+    ends lies between their images. What is nearer than a radius and a bit is let go.
+    """
+    least = radius + 0.05
+    first_x, last_x = a[0] + begin * b[0], a[0] + end * b[0]
+    if first_x < least and last_x < least:
+        return 0, 0, 0, 0
+    if first_x < least:
+        begin += (least - first_x) / b[0]
+    if last_x < least:
+        end += (least - last_x) / b[0]
+    low_u, high_u, low_v, high_v = np.inf, -np.inf, np.inf, -np.inf
+    for s in (begin, end):
+        x, y, z = a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]
+        near, far = x - radius, x + radius
+        low_u = min(low_u, (y - radius) / near, (y - radius) / far)
+        high_u = max(high_u, (y + radius) / near, (y + radius) / far)
+        low_v = min(low_v, (z - radius) / near, (z - radius) / far)
+        high_v = max(high_v, (z + radius) / near, (z + radius) / far)
+    column_1, column_2 = (low_u - image[0]) / image[1], (high_u - image[0]) / image[1]
+    row_1, row_2 = (low_v - image[2]) / image[3], (high_v - image[2]) / image[3]
+    first_column = int(max(np.floor(min(column_1, column_2)), 0.0))
+    first_row = int(max(np.floor(min(row_1, row_2)), 0.0))
+    last_column = int(min(np.ceil(max(column_1, column_2)) + 1.0, float(width)))
+    last_row = int(min(np.ceil(max(row_1, row_2)) + 1.0, float(height)))
+    return (
+        first_row,
+        max(last_row, first_row),
+        first_column,
+        max(last_column, first_column),
+    )
+
+
+@kernel
+def gather(
+    rays: FloatArray,
+    depths: FloatArray,
+    width: int,
+    image: FloatArray,
+    noise: float,
+    noise_relative: float,
+    low: FloatArray,
+    high: FloatArray,
+    up: FloatArray,
+    height: float,
+    floor: float,
+    anchors: FloatArray,
+    directions: FloatArray,
+    us: FloatArray,
+    vs: FloatArray,
+    radii: FloatArray,
+    firsts: FloatArray,
+    lasts: FloatArray,
+    ranks: NDArray[np.int64],
+    limits: NDArray[np.int64],
+    starts: FloatArray,
+    fine_at: NDArray[np.int64],
+    coarse_at: NDArray[np.int64],
+    likelihood: FloatArray,
+    hits: FloatArray,
+    normal: FloatArray,
+    scans: NDArray[np.int64],
+    tukey: float,
+    background: float,
+) -> None:
+    """Add what a scan says about each beam to sums along its axis.
+
+    Parameters
+    ----------
+    rays : (R, 3) float64, unit vectors, x forward
+        Zero where a pixel's direction is not known.
+    depths : (R,) float64, metres
+        Along the ray; infinite where nothing returned.
+    width : int
+        Pixels of a row; 0 for a cloud without rows.
+    image : (4,) float64
+        ``y / x`` of the first column and its step to the next, ``z / x`` of the first row
+        and its step.
+    noise, noise_relative : float
+        Standard deviation of the forward depth: metres, and share of the depth.
+    low, high : (3,) float64, metres
+        Window outside of which nothing counts.
+    up : (3,) float64
+        The world's z axis; with `height`, the sensor's, and `floor`, metres, it gives the
+        floor trim.
+    anchors, directions : (M, 3) float64
+    us, vs : (M, 3) float64, unit vectors
+        Normal to each axis and to one another; the normal equations are in these.
+    radii, firsts, lasts : (M,) float64, metres
+        Radius of each beam, and its ends along its axis.
+    ranks, limits : (M,) int64
+        Beam ``o`` competes with ``j`` where ``ranks[o] <= limits[j]``.
+    starts : (M,) float64, metres
+        Where the first bin of a beam begins, along its axis.
+    fine_at, coarse_at : (M + 1,) int64
+        First bin of each beam.
+    likelihood, hits : (F,) float64
+        Sums by fine bin, added to: log-likelihood ratio, rays explained.
+    normal : (C, 18) float64
+        Sums by coarse bin, added to.
+    scans : (M,) int64
+        Added to where at least three rays are explained by the beam alone.
+    tukey : float
+        Reach of Tukey's weight, in sigmas.
+    background : float
+        Cost of a return that no beam explains, as half a squared residual.
+    """
+    num_beams = len(anchors)
+    num_rays = len(rays)
+    reach = 0.0
+    for axis in range(3):
+        reach += max(low[axis] * low[axis], high[axis] * high[axis])
+    reach = np.sqrt(reach)
+    count = np.zeros(num_rays, np.int64)
+    who = np.empty((num_rays, _MOST), np.int64)
+    along = np.empty((num_rays, _MOST))
+    side = np.empty((num_rays, _MOST))
+    residual = np.empty((num_rays, _MOST))
+    entries = np.empty((num_rays, _MOST))
+    nearest = np.empty((num_rays, _MOST))
+    for j in range(num_beams):
+        a, b, radius = anchors[j], directions[j], radii[j]
+        ab = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+        begin = starts[j]
+        end = begin + (fine_at[j + 1] - fine_at[j]) * FINE
+        closest = min(max(-ab, begin), end)
+        gone = 0.0
+        for axis in range(3):
+            gone += (a[axis] + closest * b[axis]) ** 2
+        if gone > (reach + radius) ** 2:
+            continue
+        row_first, row_last, column_first, column_last = 0, 1, 0, num_rays
+        if width > 0:
+            row_first, row_last, column_first, column_last = _pixels(
+                a, b, begin, end, radius, width, num_rays // width, image
+            )
+        mx, my, mz = b[1] * a[2] - b[2] * a[1], b[2] * a[0] - b[0] * a[2], b[0] * a[1] - b[1] * a[0]
+        for pixel in range((row_last - row_first) * (column_last - column_first)):
+            k = pixel
+            if width > 0:
+                columns = column_last - column_first
+                k = (row_first + pixel // columns) * width + column_first + pixel % columns
+            wx, wy, wz = rays[k, 0], rays[k, 1], rays[k, 2]
+            mixed = wx * mx + wy * my + wz * mz
+            wb = wx * b[0] + wy * b[1] + wz * b[2]
+            if mixed * mixed > radius * radius * (1.0 - wb * wb):
+                continue
+            entry, leave, s, lateral = enter_cylinder(
+                wx, wy, wz, a[0], a[1], a[2], b[0], b[1], b[2], radius
+            )
+            if not (entry > 0.0 and begin <= s < end):
+                continue
+            x, y, z = entry * wx, entry * wy, entry * wz
+            if not (low[0] <= x <= high[0] and low[1] <= y <= high[1] and low[2] <= z <= high[2]):
+                continue
+            if up[0] * x + up[1] * y + up[2] * z + height < floor or count[k] == _MOST:
+                continue
+            slot = count[k]
+            count[k] = slot + 1
+            sigma = np.sqrt(noise * noise + (noise_relative * x) ** 2) / wx
+            who[k, slot], along[k, slot], side[k, slot] = j, s, lateral / radius
+            entries[k, slot] = entry
+            residual[k, slot] = (depths[k] - entry) / sigma
+            nearest[k, slot] = finite_depth(entry, leave, s, wb, ab, firsts[j], lasts[j])
+    alone = np.zeros(num_beams, np.int64)
+    for k in range(num_rays):
+        for slot in range(count[k]):
+            j, s, e, entry = who[k, slot], along[k, slot], residual[k, slot], entries[k, slot]
+            before, best = np.inf, np.inf
+            for other in range(count[k]):
+                o = who[k, other]
+                if other != slot and ranks[o] <= limits[j] and nearest[k, other] < np.inf:
+                    before = min(before, nearest[k, other])
+                    sigma = (depths[k] - entry) / e if e != 0.0 and np.isfinite(e) else np.nan
+                    if np.isfinite(sigma):
+                        best = min(best, abs((depths[k] - nearest[k, other]) / sigma))
+            hidden = entry >= before
+            if e < -_GATE or (hidden and e > _GATE):
+                continue
+            fine = fine_at[j] + int((s - starts[j]) / FINE)
+            if e > _GATE:
+                if side[k, slot] < _EDGE:
+                    likelihood[fine] += _THROUGH
+                continue
+            if not hidden:
+                gain = min(0.5 * best * best, background) - min(0.5 * e * e, background)
+                likelihood[fine] += gain
+            explained = best > abs(e) + _CONTESTED
+            if explained:
+                hits[fine] += 1.0
+            inside = firsts[j] <= s <= lasts[j]
+            if not inside or not explained or abs(e) >= tukey:
+                continue
+            alone[j] += 1
+            a, b = anchors[j], directions[j]
+            nx = (entry * rays[k, 0] - a[0] - s * b[0]) / radii[j]
+            ny = (entry * rays[k, 1] - a[1] - s * b[1]) / radii[j]
+            nz = (entry * rays[k, 2] - a[2] - s * b[2]) / radii[j]
+            incidence = nx * rays[k, 0] + ny * rays[k, 1] + nz * rays[k, 2]
+            if abs(incidence) < _MIN_INCIDENCE:
+                continue
+            share = e / tukey
+            weight = (1.0 - share * share) ** 2
+            scale = e / (depths[k] - entry) if depths[k] != entry else 1.0 / noise
+            u = (nx * us[j, 0] + ny * us[j, 1] + nz * us[j, 2]) / incidence * scale
+            v = (nx * vs[j, 0] + ny * vs[j, 1] + nz * vs[j, 2]) / incidence * scale
+            row = normal[coarse_at[j] + int((s - starts[j]) / COARSE)]
+            su, sv = s * u, s * v
+            row[0] += weight * u * u
+            row[1] += weight * u * v
+            row[2] += weight * v * v
+            row[3] += weight * su * u
+            row[4] += weight * su * v
+            row[5] += weight * sv * v
+            row[6] += weight * su * su
+            row[7] += weight * su * sv
+            row[8] += weight * sv * sv
+            row[10] += weight * u * e
+            row[11] += weight * v * e
+            row[12] += weight * su * e
+            row[13] += weight * sv * e
+            row[14] += weight * e * e
+            row[15] += 1.0
+            row[16] += weight
+            row[17] += incidence * scale * e * weight
+    for j in range(num_beams):
+        scans[j] += alone[j] >= 3

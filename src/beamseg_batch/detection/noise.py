@@ -1,0 +1,105 @@
+"""How noisy the depths of a flight are, measured in its own clouds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from beamseg_batch.config import SensorConfig
+from beamseg_batch.geometry import FloatArray
+from beamseg_batch.model import DepthNoise, Scan
+
+__all__ = ["DEFAULT_NOISE", "depth_noise", "measured_noise"]
+
+DEFAULT_NOISE = DepthNoise(0.01)
+"""Of a camera about which nothing is known."""
+
+_SMALLEST_M = 5e-4
+_BINS = 8
+_FEWEST_A_BIN = 200
+_ENOUGH = 200_000  # samples
+_PLANAR = 0.1  # metres: a larger second difference is an edge
+
+
+def depth_noise(scans: Iterable[Scan], config: SensorConfig) -> DepthNoise:
+    """Noise of the depths: as configured, else as measured.
+
+    Parameters
+    ----------
+    scans : iterable of Scan
+        Read no further than is needed.
+    config : SensorConfig
+
+    Returns
+    -------
+    DepthNoise
+    """
+    if config.noise_m is not None:
+        return DepthNoise(config.noise_m, config.noise_relative or 0.0)
+    return measured_noise(scans)
+
+
+def measured_noise(scans: Iterable[Scan]) -> DepthNoise:
+    """Measure the noise on the flat parts of organised clouds.
+
+    Parameters
+    ----------
+    scans : iterable of Scan
+        Read no further than is needed.
+
+    Returns
+    -------
+    DepthNoise
+        1 cm where the clouds are not organised or show nothing flat.
+
+    Notes
+    -----
+    On a plane the inverse of the forward depth is linear across the pixels of a row. The
+    second difference of three neighbours, times the squared depth, is noise with the
+    variance ``6 sigma**2``. What is not flat is left out by the median: the deviation
+    comes from the median of absolute values, renewed within two of itself.
+    """
+    depths, residuals, count = [], [], 0
+    for scan in scans:
+        if scan.height < 3 or scan.width < 3:
+            continue
+        x = np.asarray(scan.points[:, 0], np.float64).reshape(scan.height, scan.width)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inverse = np.where(np.isfinite(x) & (x > 0.0), 1.0 / x, np.nan)
+            second = (inverse[:, :-2] - 2.0 * inverse[:, 1:-1] + inverse[:, 2:]) * x[:, 1:-1] ** 2
+        good = np.abs(second) < _PLANAR
+        depths.append(x[:, 1:-1][good])
+        residuals.append(second[good] / np.sqrt(6.0))
+        count += int(good.sum())
+        if count > _ENOUGH:
+            break
+    if count < _BINS * _FEWEST_A_BIN:
+        return DEFAULT_NOISE
+    return _fitted(np.concatenate(depths), np.concatenate(residuals))
+
+
+def _fitted(depths: FloatArray, residuals: FloatArray) -> DepthNoise:
+    """Fit ``sigma**2 = constant**2 + (relative * depth)**2``, neither below zero."""
+    order = np.argsort(depths)
+    parts = np.array_split(order, _BINS)
+    squares = np.array([np.median(depths[part]) for part in parts]) ** 2
+    variances = np.array([_deviation(residuals[part]) for part in parts]) ** 2
+    weights = 1.0 / variances
+    design = np.stack([np.ones(_BINS), squares], axis=1) * weights[:, None]
+    (constant, slope), *_ = np.linalg.lstsq(design, variances * weights, rcond=None)
+    if slope < 0.0:
+        constant, slope = np.average(variances, weights=weights**2), 0.0
+    if constant < 0.0:
+        constant = 0.0
+        slope = np.average(variances / squares, weights=(weights * squares) ** 2)
+    return DepthNoise(max(float(np.sqrt(constant)), _SMALLEST_M), float(np.sqrt(slope)))
+
+
+def _deviation(values: FloatArray) -> float:
+    """Standard deviation of the normal core of values with zero mean."""
+    deviation = 1.4826 * float(np.median(np.abs(values)))
+    for _ in range(5):
+        core = values[np.abs(values) < 2.0 * deviation]
+        deviation = float(np.sqrt(np.mean(core**2) / 0.7737)) if len(core) else deviation
+    return deviation

@@ -1,0 +1,184 @@
+"""From evidence to a better hypothesis: refit, cut, split, merge and drop beams."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from beamseg_batch.cylinder.evidence_kernels import COARSE
+from beamseg_batch.cylinder.ray_kernels import solve_4
+from beamseg_batch.geometry import FloatArray
+from beamseg_batch.structure.hypothesis import Beam, Sums, normal_matrix
+from beamseg_batch.structure.interval_kernels import best_intervals, densest_part
+
+__all__ = ["PassRules", "refined"]
+
+INTERVAL_COST = 50.0
+LEAST_SCORE = 300.0
+LEAST_SHARE = 0.15  # of the score that all hits would give
+BEST_A_HIT = 4.3
+LEAST_LENGTH = 0.18
+TRIM_A_HIT = 0.1
+
+
+@dataclass(frozen=True)
+class PassRules:
+    """What a pass may do.
+
+    Attributes
+    ----------
+    split, drop, several : bool
+        Whether beams are split at bends, dropped when the evidence is weak, and cut into
+        several where it is interrupted.
+    """
+
+    split: bool = True
+    drop: bool = True
+    several: bool = False
+
+
+def refined(beams: Sequence[Beam], sums: Sums, noise: float, rules: PassRules) -> list[Beam]:
+    """Make the next hypothesis of the evidence about the present one."""
+    found: list[Beam] = []
+    for index, beam in enumerate(beams):
+        found += _renewed(beam, index, sums, noise, rules)
+    if rules.drop:
+        found = [beam for beam in found if is_likely(beam)]
+    return without_duplicates(found)
+
+
+def is_likely(beam: Beam) -> bool:
+    """Whether the evidence for a beam is enough to keep it."""
+    return (
+        beam.score >= max(LEAST_SCORE, LEAST_SHARE * BEST_A_HIT * beam.hits)
+        and beam.length >= LEAST_LENGTH
+    )
+
+
+def _renewed(beam: Beam, index: int, sums: Sums, noise: float, rules: PassRules) -> list[Beam]:
+    likelihood, hits = sums.fine(index)
+    stretches = best_intervals(likelihood, INTERVAL_COST)
+    if len(stretches) == 0:
+        return []
+    if not rules.several:
+        stretches = np.array([[stretches[0, 0], stretches[-1, 1]]])
+    beams = []
+    for first, last in stretches:
+        begin, end = densest_part(likelihood[first:last] - TRIM_A_HIT * hits[first:last])
+        if end <= begin:
+            continue
+        begin, end = first + begin, first + end
+        part = replace(
+            beam,
+            score=float(likelihood[begin:end].sum()),
+            hits=float(hits[begin:end].sum()),
+            scans=int(sums.scans[index]),
+        )
+        low, high = sums.place(index, begin), sums.place(index, end)
+        beams += _split_or_refit(part, index, low, high, sums, noise, rules)
+    return beams
+
+
+def _split_or_refit(
+    beam: Beam, index: int, first: float, last: float, sums: Sums, noise: float, rules: PassRules
+) -> list[Beam]:
+    if rules.split:
+        place = bend(sums.coarse(index), sums, index, first, last, noise)
+        if place is not None:
+            low, high = max(first, place - 0.05), min(last, place + 0.05)
+            return [
+                refit(beam, index, first, high, sums),
+                refit(beam, index, low, last, sums),
+            ]
+    return [refit(beam, index, first, last, sums)]
+
+
+def refit(beam: Beam, index: int, first: float, last: float, sums: Sums) -> Beam:
+    """Move an axis to where the rays of a stretch put it."""
+    rows = sums.coarse(index)[sums.coarse_bins(index, first, last)]
+    if rows[:, 15].sum() < 8:
+        return beam.between(first, last)
+    matrix, right = normal_matrix(rows)
+    step, regular = solve_4(matrix, right)
+    if not regular:
+        return beam.between(first, last)
+    step = np.clip(step, -0.05, 0.05)
+    u, v = beam.normals
+    anchor = beam.anchor + step[0] * u + step[1] * v
+    direction = beam.direction + step[2] * u + step[3] * v
+    direction /= np.linalg.norm(direction)
+    weight = rows[:, 16].sum()
+    chi2 = (rows[:, 14].sum() - right @ step) / weight
+    moved = replace(
+        beam,
+        anchor=anchor,
+        direction=direction,
+        covariance=np.asarray(np.linalg.inv(matrix), np.float64),
+        reduced_chi2=float(chi2),
+    )
+    return moved.between(first, last)
+
+
+def bend(
+    rows: FloatArray, sums: Sums, index: int, first: float, last: float, noise: float
+) -> float | None:
+    """Where two axes explain a stretch much better than one, metres along it."""
+    span = sums.coarse_bins(index, first, last)
+    rows = rows[span]
+    least = round(0.25 / COARSE)
+    if len(rows) < 2 * least:
+        return None
+    totals = np.concatenate([np.zeros((1, rows.shape[1])), np.cumsum(rows, axis=0)])
+    whole_gain, _ = _gain(totals[-1])
+    best, place = 0.0, None
+    for k in range(least, len(rows) - least + 1):
+        left, left_step = _gain(totals[k])
+        right, right_step = _gain(totals[-1] - totals[k])
+        gain = left + right - whole_gain
+        angle = np.hypot(*(right_step - left_step)[2:])
+        if gain > best and angle > np.radians(1.5):
+            best, place = gain, k
+    count = totals[-1][15]
+    if place is None or best < 200.0 or best / count < (0.0025 / noise) ** 2:
+        return None
+    return float(sums.starts[index] + (span.start + place) * COARSE)
+
+
+def _gain(total: FloatArray) -> tuple[float, FloatArray]:
+    matrix, right = normal_matrix(total[None])
+    step, regular = solve_4(matrix, right)
+    return (float(right @ step), step) if regular else (0.0, np.zeros(4))
+
+
+def without_duplicates(beams: Sequence[Beam]) -> list[Beam]:
+    """Drop beams that are the same as a likelier one, which takes in their length."""
+    kept: list[Beam] = []
+    for beam in sorted(beams, key=lambda one: -one.score):
+        for index, other in enumerate(kept):
+            union = _union(other, beam)
+            if union is not None:
+                kept[index] = union
+                break
+        else:
+            kept.append(beam)
+    return kept
+
+
+def _union(one: Beam, other: Beam) -> Beam | None:
+    if abs(float(one.direction @ other.direction)) < np.cos(np.radians(1.5)):
+        return None
+    offsets = []
+    places = []
+    for end in other.ends:
+        along = float((end - one.anchor) @ one.direction)
+        offsets.append(float(np.linalg.norm(end - one.at(along))))
+        places.append(along)
+    low, high = min(places), max(places)
+    overlap = min(high, one.last) - max(low, one.first)
+    same = max(offsets) < 0.012 and overlap > 0.5 * min(other.length, one.length)
+    touching = max(offsets) < 0.006 and overlap > -0.05
+    if not (same or touching):
+        return None
+    return one.between(min(low, one.first), max(high, one.last))
