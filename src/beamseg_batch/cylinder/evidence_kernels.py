@@ -26,7 +26,6 @@ COARSE = 0.02
 NORMAL_COLUMNS = 18
 """Ten products of the derivatives, four with the residual, its square, rays, weight, all hits."""
 
-_MOST = 8  # beams that one ray is held against
 _GATE = 4.0  # a residual of so many sigmas is still explained
 _THROUGH = -4.0  # log-likelihood ratio of a ray that saw through
 _EDGE = 0.8  # share of the radius beyond which a ray that passes proves nothing
@@ -82,8 +81,8 @@ def _pixels(
 
 @kernel
 def gather(
+    points: NDArray[np.floating],
     rays: FloatArray,
-    depths: FloatArray,
     width: int,
     image: FloatArray,
     noise: float,
@@ -111,15 +110,20 @@ def gather(
     scans: NDArray[np.int64],
     tukey: float,
     background: float,
+    head: NDArray[np.int64],
+    pixels: NDArray[np.int64],
+    chain: NDArray[np.int64],
+    who: NDArray[np.int64],
+    meetings: FloatArray,
 ) -> None:
     """Add what a scan says about each beam to sums along its axis.
 
     Parameters
     ----------
-    rays : (R, 3) float64, unit vectors, x forward
-        Zero where a pixel's direction is not known.
-    depths : (R,) float64, metres
-        Along the ray; infinite where nothing returned.
+    points : (R, 3) float32 or float64, metres, x forward
+        Not finite where nothing returned.
+    rays : (R, 3) float64, unit vectors
+        Direction of each pixel, for those without return; zero where it is not known.
     width : int
         Pixels of a row; 0 for a cloud without rows.
     image : (4,) float64
@@ -153,20 +157,23 @@ def gather(
         Reach of Tukey's weight, in sigmas.
     background : float
         Cost of a return that no beam explains, as half a squared residual.
+    head, pixels : (R,) int64
+        Scratch; `head` is -1 before and after.
+    chain, who : (K,) int64
+    meetings : (6, K) float64
+        Scratch for what may meet; beyond K it is left out.
     """
     num_beams = len(anchors)
-    num_rays = len(rays)
+    num_rays = len(points)
     reach = 0.0
     for axis in range(3):
         reach += max(low[axis] * low[axis], high[axis] * high[axis])
     reach = np.sqrt(reach)
-    count = np.zeros(num_rays, np.int64)
-    who = np.empty((num_rays, _MOST), np.int64)
-    along = np.empty((num_rays, _MOST))
-    side = np.empty((num_rays, _MOST))
-    residual = np.empty((num_rays, _MOST))
-    entries = np.empty((num_rays, _MOST))
-    nearest = np.empty((num_rays, _MOST))
+    along, side, residual = meetings[0], meetings[1], meetings[2]
+    entries, sigmas, nearest = meetings[3], meetings[4], meetings[5]
+    # Rays that may meet a beam, chained by pixel: most pixels meet none.
+    used = 0
+    touched = 0
     for j in range(num_beams):
         a, b, radius = anchors[j], directions[j], radii[j]
         ab = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
@@ -189,7 +196,12 @@ def gather(
             if width > 0:
                 columns = column_last - column_first
                 k = (row_first + pixel // columns) * width + column_first + pixel % columns
-            wx, wy, wz = rays[k, 0], rays[k, 1], rays[k, 2]
+            wx, wy, wz = float(points[k, 0]), float(points[k, 1]), float(points[k, 2])
+            depth = np.sqrt(wx * wx + wy * wy + wz * wz)
+            if np.isfinite(depth) and depth > 0.0:
+                wx, wy, wz = wx / depth, wy / depth, wz / depth
+            else:
+                wx, wy, wz, depth = rays[k, 0], rays[k, 1], rays[k, 2], np.inf
             mixed = wx * mx + wy * my + wz * mz
             wb = wx * b[0] + wy * b[1] + wz * b[2]
             if mixed * mixed > radius * radius * (1.0 - wb * wb):
@@ -202,33 +214,42 @@ def gather(
             x, y, z = entry * wx, entry * wy, entry * wz
             if not (low[0] <= x <= high[0] and low[1] <= y <= high[1] and low[2] <= z <= high[2]):
                 continue
-            if up[0] * x + up[1] * y + up[2] * z + height < floor or count[k] == _MOST:
+            if up[0] * x + up[1] * y + up[2] * z + height < floor or used == len(who):
                 continue
-            slot = count[k]
-            count[k] = slot + 1
             sigma = np.sqrt(noise * noise + (noise_relative * x) ** 2) / wx
-            who[k, slot], along[k, slot], side[k, slot] = j, s, lateral / radius
-            entries[k, slot] = entry
-            residual[k, slot] = (depths[k] - entry) / sigma
-            nearest[k, slot] = finite_depth(entry, leave, s, wb, ab, firsts[j], lasts[j])
+            who[used], along[used], side[used] = j, s, lateral / radius
+            entries[used], sigmas[used] = entry, sigma
+            residual[used] = (depth - entry) / sigma
+            nearest[used] = finite_depth(entry, leave, s, wb, ab, firsts[j], lasts[j])
+            if head[k] < 0:
+                pixels[touched] = k
+                touched += 1
+            chain[used] = head[k]
+            head[k] = used
+            used += 1
     alone = np.zeros(num_beams, np.int64)
-    for k in range(num_rays):
-        for slot in range(count[k]):
-            j, s, e, entry = who[k, slot], along[k, slot], residual[k, slot], entries[k, slot]
+    for number in range(touched):
+        k = pixels[number]
+        slot = head[k]
+        while slot >= 0:
+            this = slot
+            slot = chain[this]
+            j, s, e, entry = who[this], along[this], residual[this], entries[this]
+            depth = entry + e * sigmas[this]
             before, best = np.inf, np.inf
-            for other in range(count[k]):
-                o = who[k, other]
-                if other != slot and ranks[o] <= limits[j] and nearest[k, other] < np.inf:
-                    before = min(before, nearest[k, other])
-                    sigma = (depths[k] - entry) / e if e != 0.0 and np.isfinite(e) else np.nan
-                    if np.isfinite(sigma):
-                        best = min(best, abs((depths[k] - nearest[k, other]) / sigma))
+            other = head[k]
+            while other >= 0:
+                near = nearest[other]
+                if other != this and near < np.inf and ranks[who[other]] <= limits[j]:
+                    before = min(before, near)
+                    best = min(best, abs(depth - near) / sigmas[this])
+                other = chain[other]
             hidden = entry >= before
             if e < -_GATE or (hidden and e > _GATE):
                 continue
             fine = fine_at[j] + int((s - starts[j]) / FINE)
             if e > _GATE:
-                if side[k, slot] < _EDGE:
+                if side[this] < _EDGE:
                     likelihood[fine] += _THROUGH
                 continue
             if not hidden:
@@ -242,15 +263,17 @@ def gather(
                 continue
             alone[j] += 1
             a, b = anchors[j], directions[j]
-            nx = (entry * rays[k, 0] - a[0] - s * b[0]) / radii[j]
-            ny = (entry * rays[k, 1] - a[1] - s * b[1]) / radii[j]
-            nz = (entry * rays[k, 2] - a[2] - s * b[2]) / radii[j]
-            incidence = nx * rays[k, 0] + ny * rays[k, 1] + nz * rays[k, 2]
+            # A ray with a fitting depth returned, so its point tells its direction.
+            wx, wy, wz = points[k, 0] / depth, points[k, 1] / depth, points[k, 2] / depth
+            nx = (entry * wx - a[0] - s * b[0]) / radii[j]
+            ny = (entry * wy - a[1] - s * b[1]) / radii[j]
+            nz = (entry * wz - a[2] - s * b[2]) / radii[j]
+            incidence = nx * wx + ny * wy + nz * wz
             if abs(incidence) < _MIN_INCIDENCE:
                 continue
             share = e / tukey
             weight = (1.0 - share * share) ** 2
-            scale = e / (depths[k] - entry) if depths[k] != entry else 1.0 / noise
+            scale = 1.0 / sigmas[this]
             u = (nx * us[j, 0] + ny * us[j, 1] + nz * us[j, 2]) / incidence * scale
             v = (nx * vs[j, 0] + ny * vs[j, 1] + nz * vs[j, 2]) / incidence * scale
             row = normal[coarse_at[j] + int((s - starts[j]) / COARSE)]
@@ -272,5 +295,7 @@ def gather(
             row[15] += 1.0
             row[16] += weight
             row[17] += incidence * scale * e * weight
+    for number in range(touched):
+        head[pixels[number]] = -1
     for j in range(num_beams):
         scans[j] += alone[j] >= 3

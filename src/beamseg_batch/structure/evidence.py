@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -153,18 +154,12 @@ class _PixelRays:
         finite = np.isfinite(points).all(axis=1)
         self._sum[finite] += points[finite]
 
-    def of(self, scan: Scan) -> tuple[FloatArray, FloatArray, int, FloatArray]:
-        """Rays and depths of a scan; pixels a row and the image's scale, 0 if unknown."""
-        points = np.asarray(scan.points, np.float64)
-        with np.errstate(invalid="ignore"):
-            depths = np.sqrt(np.einsum("ij,ij->i", points, points))
-        returned = np.isfinite(depths) & (depths > 0.0)
+    def of(self, scan: Scan) -> tuple[FloatArray, int, FloatArray]:
+        """Direction of each pixel, or zeros; pixels a row, or 0; the image's scale."""
         known = self._directions()
-        if known is None or len(known) != len(points) or scan.width != self._width:
-            return points[returned] / depths[returned, None], depths[returned], 0, self._image
-        rays = known.copy()
-        rays[returned] = points[returned] / depths[returned, None]
-        return rays, np.where(returned, depths, np.inf), self._image_width, self._image
+        if known is None or len(known) != len(scan.points) or scan.width != self._width:
+            return np.zeros((len(scan.points), 3)), 0, self._image
+        return known, self._image_width, self._image
 
     def _directions(self) -> FloatArray | None:
         if self._sum is None:
@@ -198,6 +193,7 @@ class _Question:
     ) -> None:
         self.sums = Sums(beams)
         self.noise = noise
+        self._scratch: tuple[Any, ...] | None = None
         window = config.filtering.window
         self.low, self.high = np.array([window.x, window.y, window.z]).T.copy()
         trimmed = config.filtering.floor_trim != "none"
@@ -224,19 +220,29 @@ class _Question:
         )
 
     def ask(self, scan: Scan, pixels: _PixelRays) -> None:
-        rays, depths, width, image = pixels.of(scan)
+        rays, width, image = pixels.of(scan)
+        scratch = self._scratch_of(len(scan.points))
         pose = scan.T_world_sensor
         rotation, origin = pose.rotation, pose.translation
         gather(
-            rays, depths, width, image, self.noise.constant, self.noise.relative,
+            scan.points, rays, width, image, self.noise.constant, self.noise.relative,
             self.low, self.high, rotation[2].copy(), float(origin[2]), self.floor,
             (self.anchors - origin) @ rotation, self.directions @ rotation,
             self.us @ rotation, self.vs @ rotation,
             self.radii, self.firsts, self.lasts, self.ranks, self.limits,
             self.sums.starts, self.sums.fine_at, self.sums.coarse_at,
             self.sums.likelihood, self.sums.hits, self.sums.normal, self.sums.scans,
-            self.tukey, self.background,
+            self.tukey, self.background, *scratch,
         )  # fmt: skip
+
+    def _scratch_of(self, num_rays: int) -> tuple[Any, ...]:
+        if self._scratch is None or len(self._scratch[0]) != num_rays:
+            most = 4 * num_rays + 64
+            self._scratch = (
+                np.full(num_rays, -1), np.empty(num_rays, np.int64),
+                np.empty(most, np.int64), np.empty(most, np.int64), np.empty((6, most)),
+            )  # fmt: skip
+        return self._scratch
 
 
 def _stacked(vectors: Sequence[FloatArray]) -> FloatArray:
