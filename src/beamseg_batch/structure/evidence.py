@@ -47,7 +47,7 @@ _FIRST_PASSES = (
     _Pass("all", 5.0, PassRules(split=True, drop=True, several=False)),
     _Pass("all", 5.0, PassRules(split=True, drop=True, several=False)),
 )
-_LATER_PASS = _Pass("all", 4.0, PassRules(split=True, drop=True, several=True))
+_LATER_PASS = _Pass("all", 4.0, PassRules(split=True, drop=True, several=True, snap=True))
 
 
 class EvidenceStructure:

@@ -40,6 +40,9 @@ class Beam:
     covariance : (4, 4) float64
         Of the axis: offsets along `normals` at the anchor, metres, and slopes.
     reduced_chi2 : float
+    profile : (N,) float64
+        Log-likelihood ratios along the axis, by fine bin, from `profile_start` on, metres.
+    profile_start : float
     """
 
     anchor: FloatArray
@@ -54,6 +57,8 @@ class Beam:
     last_seen_ns: int = 0
     covariance: FloatArray = field(default_factory=lambda: np.zeros((4, 4)))
     reduced_chi2: float = 1.0
+    profile: FloatArray = field(default_factory=lambda: np.zeros(0))
+    profile_start: float = 0.0
 
     @property
     def normals(self) -> tuple[FloatArray, FloatArray]:
@@ -77,7 +82,19 @@ class Beam:
     def between(self, first: float, last: float) -> Beam:
         """Return the same axis with other ends, the anchor midway."""
         middle = 0.5 * (first + last)
-        return replace(self, anchor=self.at(middle), first=first - middle, last=last - middle)
+        return replace(
+            self,
+            anchor=self.at(middle),
+            first=first - middle,
+            last=last - middle,
+            profile_start=self.profile_start - middle,
+        )
+
+    def evidence_between(self, first: float, last: float) -> float:
+        """Sum of the profile over a stretch of the axis."""
+        low, high = ((place - self.profile_start) / FINE for place in (first, last))
+        bins = slice(max(round(low), 0), max(round(high), 0))
+        return float(self.profile[bins].sum())
 
 
 class Sums:

@@ -12,6 +12,7 @@ from beamseg_batch.cylinder.ray_kernels import solve_4
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.structure.hypothesis import Beam, Sums, normal_matrix
 from beamseg_batch.structure.interval_kernels import best_intervals, densest_part
+from beamseg_batch.structure.snapping import snapped
 
 __all__ = ["PassRules", "refined"]
 
@@ -29,14 +30,15 @@ class PassRules:
 
     Attributes
     ----------
-    split, drop, several : bool
-        Whether beams are split at bends, dropped when the evidence is weak, and cut into
-        several where it is interrupted.
+    split, drop, several, snap : bool
+        Whether beams are split at bends, dropped when the evidence is weak, cut into several
+        where it is interrupted, and drawn to the axes that they meet.
     """
 
     split: bool = True
     drop: bool = True
     several: bool = False
+    snap: bool = False
 
 
 def refined(beams: Sequence[Beam], sums: Sums, noise: float, rules: PassRules) -> list[Beam]:
@@ -46,7 +48,8 @@ def refined(beams: Sequence[Beam], sums: Sums, noise: float, rules: PassRules) -
         found += _renewed(beam, index, sums, noise, rules)
     if rules.drop:
         found = [beam for beam in found if is_likely(beam)]
-    return without_duplicates(found)
+    found = without_duplicates(found)
+    return snapped(found) if rules.snap else found
 
 
 def is_likely(beam: Beam) -> bool:
@@ -75,6 +78,8 @@ def _renewed(beam: Beam, index: int, sums: Sums, noise: float, rules: PassRules)
             score=float(likelihood[begin:end].sum()),
             hits=float(hits[begin:end].sum()),
             scans=int(sums.scans[index]),
+            profile=likelihood,
+            profile_start=float(sums.starts[index]),
         )
         low, high = sums.place(index, begin), sums.place(index, end)
         beams += _split_or_refit(part, index, low, high, sums, noise, rules)
