@@ -22,7 +22,12 @@ from beamseg_batch.model import (
     SkippedScan,
 )
 from beamseg_batch.recording import Flight, Recording, open_flight
-from beamseg_batch.structure import EvidenceStructure, Structure, ThinnedCloud
+from beamseg_batch.structure import (
+    SEARCH_BEFORE,
+    EvidenceStructure,
+    Structure,
+    ThinnedCloud,
+)
 
 __all__ = ["Progress", "process_flight"]
 
@@ -106,7 +111,7 @@ def process_flight(
                 log.stop(f"interrupted after {log.n_clouds} of {flight.n_clouds} clouds")
                 break
         if isinstance(structure, EvidenceStructure):
-            _refine(structure, flight, passes, log, progress, should_stop)
+            _refine(structure, detect, flight, passes, log, progress, should_stop)
     except BeamsegError as error:
         if not log.scans:
             raise
@@ -117,6 +122,7 @@ def process_flight(
 
 def _refine(
     structure: EvidenceStructure,
+    detect: Detector,
     flight: Flight,
     passes: int,
     log: _FlightLog,
@@ -127,9 +133,17 @@ def _refine(
     for number in range(passes):
         if log.interrupted:
             return
+        if number == SEARCH_BEFORE:
+            _search_leftovers(structure, detect, flight)
         structure.refine(_watched(_usable(flight), progress, len(structure)), number)
         if should_stop():
             log.stop(f"interrupted after pass {number + 1} of {passes} over the rays")
+
+
+def _search_leftovers(structure: EvidenceStructure, detect: Detector, flight: Flight) -> None:
+    """Look for beams that no scan alone shows, among what the others leave unexplained."""
+    for left in list(structure.leftovers(_usable(flight))):
+        structure.propose(detect.in_cloud(left.points), left.seen_from, left.stamp_ns)
 
 
 def _usable(flight: Flight) -> Iterator[Scan]:

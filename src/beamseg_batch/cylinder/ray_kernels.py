@@ -8,11 +8,19 @@ its axis, where its outward normal is ``n``.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from beamseg_batch.accelerate import kernel
 from beamseg_batch.geometry import FloatArray
 
-__all__ = ["enter_cylinder", "finite_depth", "fit_axis", "perpendiculars", "solve_4"]
+__all__ = [
+    "enter_cylinder",
+    "finite_depth",
+    "fit_axis",
+    "on_cylinders",
+    "perpendiculars",
+    "solve_4",
+]
 
 _MIN_INCIDENCE = 0.2
 """Rays that graze the surface more than this say little, and mostly about its edge."""
@@ -250,3 +258,39 @@ def fit_axis(
             b[axis] /= length
         rms = np.sqrt(squares / weights)
     return a, b, count, rms
+
+
+@kernel
+def on_cylinders(
+    points: FloatArray,
+    anchors: FloatArray,
+    directions: FloatArray,
+    firsts: FloatArray,
+    lasts: FloatArray,
+    radii: FloatArray,
+    reach: float,
+) -> NDArray[np.bool_]:
+    """Which points lie on, in or near one of several finite cylinders.
+
+    Parameters
+    ----------
+    points : (N, 3) float64, metres
+    anchors, directions : (M, 3) float64, in the same frame
+    firsts, lasts, radii : (M,) float64, metres
+    reach : float, metres
+        How far from a surface, or beyond an end, still counts.
+
+    Returns
+    -------
+    (N,) bool
+    """
+    near = np.zeros(len(points), np.bool_)
+    for j in range(len(anchors)):
+        a, b = anchors[j], directions[j]
+        most = (radii[j] + reach) ** 2
+        for k in range(len(points)):
+            x, y, z = points[k, 0] - a[0], points[k, 1] - a[1], points[k, 2] - a[2]
+            s = x * b[0] + y * b[1] + z * b[2]
+            if firsts[j] - reach <= s <= lasts[j] + reach:
+                near[k] |= x * x + y * y + z * z - s * s < most
+    return near

@@ -19,6 +19,8 @@ from beamseg_batch.model import DepthNoise, Detections, Scan, Segment
 
 __all__ = ["Detector"]
 
+_POOLED_PCA = 0.9
+
 
 class Detector:
     """The report's sections 3.2.2 to 3.2.5 as a callable.
@@ -81,8 +83,35 @@ class Detector:
             stage_us={"read": scan.read_us, **clock.stage_us},
         )
 
+    def in_cloud(self, points: FloatArray) -> list[Segment]:
+        """Find the segments of a cloud pooled from several scans.
+
+        Points from all sides make a short beam thick, so less of their variance needs to
+        lie along the axis.
+
+        Parameters
+        ----------
+        points : (N, 3) float64, metres
+            Finite.
+
+        Returns
+        -------
+        list of Segment
+            On the surface, in the frame of the points.
+        """
+        found: list[Segment] = []
+        for radius in sorted(self.config.filtering.radii, reverse=True):
+            cloud = voxel_grid(points, self.config.filtering.leaf_size(radius))
+            found += self._search(cloud, radius, Counter(), _StageClock(), _POOLED_PCA)[0]
+        return found
+
     def _search(
-        self, cloud: FloatArray, radius: float, rejections: Counter[str], clock: _StageClock
+        self,
+        cloud: FloatArray,
+        radius: float,
+        rejections: Counter[str],
+        clock: _StageClock,
+        most_pca: float = 1.0,
     ) -> tuple[list[Segment], int]:
         """Lines of one radius, screened as they come until enough are kept.
 
@@ -91,6 +120,9 @@ class Detector:
         """
         hough = self.config.detection.hough
         leaf_size = self.config.filtering.leaf_size(radius)
+        screening = self.config.detection.screening
+        if screening.min_pca_coeff > most_pca:
+            screening = screening.model_copy(update={"min_pca_coeff": most_pca})
         lines = iterative_hough(
             cloud,
             dx=hough.dx or self.config.filtering.diag_voxel(radius),
@@ -108,7 +140,7 @@ class Detector:
                 radius,
                 leaf_size,
                 hough.minvotes,
-                self.config.detection.screening,
+                screening,
             )
             if isinstance(verdict, Rejection):
                 rejections[verdict.reason] += 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from beamseg_batch.config import RunConfig
 from beamseg_batch.cylinder.evidence_kernels import gather
+from beamseg_batch.cylinder.ray_kernels import on_cylinders
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import DepthNoise, Detections, Intersection, Scan, Segment
 from beamseg_batch.structure.candidates import Candidates
@@ -18,9 +19,12 @@ from beamseg_batch.structure.hypothesis import Beam, Sums
 from beamseg_batch.structure.intersections import intersections_of
 from beamseg_batch.structure.refinement import PassRules, refined
 
-__all__ = ["EvidenceStructure"]
+__all__ = ["SEARCH_BEFORE", "EvidenceStructure", "Leftovers"]
 
 _TYPICAL_DEPTH_M = 1.0
+_EXPLAINED_SIGMAS = 3.5
+_POOLED_SCANS = 25
+_BEHIND = 0.8  # radii from the visible surface to the axis, on average
 _RANGE_M = 3.0  # where a return that no beam explains may lie, for its likelihood
 
 
@@ -45,8 +49,11 @@ _FIRST_PASSES = (
     _Pass("none", 5.0, PassRules(split=True, drop=False, several=False)),
     _Pass("likelier", 5.0, PassRules(split=False, drop=True, several=False)),
     _Pass("all", 5.0, PassRules(split=True, drop=True, several=False)),
-    _Pass("all", 5.0, PassRules(split=True, drop=True, several=False)),
+    _Pass("likelier", 5.0, PassRules(split=True, drop=True, several=False)),
 )
+SEARCH_BEFORE = 3
+"""The pass before which leftovers are searched: the beams explain what they can by then."""
+
 _LATER_PASS = _Pass("all", 4.0, PassRules(split=True, drop=True, several=True, snap=True))
 
 
@@ -99,6 +106,60 @@ class EvidenceStructure:
             question.ask(scan, self._pixels)
         self._beams = refined(beams, question.sums, self._sigma, kind.rules)
 
+    def leftovers(self, scans: Iterable[Scan]) -> Iterator[Leftovers]:
+        """Pool the returns that no beam explains, of some scans at a time.
+
+        Parameters
+        ----------
+        scans : iterable of Scan
+            All of the flight.
+
+        Yields
+        ------
+        Leftovers
+        """
+        question = _Question(self._hypothesis(), _LATER_PASS, self.config, self.noise)
+        points: list[FloatArray] = []
+        origins: list[FloatArray] = []
+        for scan in scans:
+            points.append(question.unexplained(scan, _EXPLAINED_SIGMAS * self._sigma))
+            origins.append(scan.T_world_sensor.translation)
+            if len(points) == _POOLED_SCANS:
+                yield Leftovers(np.concatenate(points), np.mean(origins, axis=0), scan.stamp_ns)
+                points, origins = [], []
+        if points:
+            yield Leftovers(np.concatenate(points), np.mean(origins, axis=0), scan.stamp_ns)
+
+    def propose(self, segments: Iterable[Segment], seen_from: FloatArray, stamp_ns: int) -> None:
+        """Add beams to the hypothesis.
+
+        Parameters
+        ----------
+        segments : iterable of Segment
+            World frame, on the surface.
+        seen_from : (3,) float64, metres
+            Where the camera was: the axes lie behind the surface.
+        stamp_ns : int
+        """
+        beams = list(self._hypothesis())
+        for segment in segments:
+            away = segment.midpoint - seen_from
+            away -= (away @ segment.direction) * segment.direction
+            away /= max(float(np.linalg.norm(away)), 1e-9)
+            anchor = segment.anchor + _BEHIND * segment.radius * away
+            beams.append(
+                Beam(
+                    anchor,
+                    segment.direction,
+                    segment.t_min,
+                    segment.t_max,
+                    segment.radius,
+                    first_seen_ns=stamp_ns,
+                    last_seen_ns=stamp_ns,
+                )
+            )
+        self._beams = beams
+
     def _hypothesis(self) -> list[Beam]:
         if self._beams is None:
             return self._candidates.beams(self.config.structure.min_scans)
@@ -127,6 +188,24 @@ class EvidenceStructure:
         if beam.length < self.config.structure.min_length:
             return "too_short"
         return None
+
+
+@dataclass(frozen=True, eq=False)
+class Leftovers:
+    """Returns of some scans that no beam explains.
+
+    Attributes
+    ----------
+    points : (N, 3) float64, metres, world frame
+    seen_from : (3,) float64, metres, world frame
+        Where the camera was, on average.
+    stamp_ns : int
+        Of the last of the scans.
+    """
+
+    points: FloatArray
+    seen_from: FloatArray
+    stamp_ns: int
 
 
 class _PixelRays:
@@ -234,6 +313,18 @@ class _Question:
             self.sums.likelihood, self.sums.hits, self.sums.normal, self.sums.scans,
             self.tukey, self.background, *scratch,
         )  # fmt: skip
+
+    def unexplained(self, scan: Scan, reach: float) -> FloatArray:
+        """Returns in the window and above the floor that lie on no beam, world frame."""
+        points = np.asarray(scan.points, np.float64)
+        inside = np.all((points >= self.low) & (points <= self.high), axis=1)
+        world = scan.T_world_sensor.apply(points[inside])
+        world = world[world[:, 2] >= self.floor]
+        explained = on_cylinders(
+            world, self.anchors, self.directions, self.firsts, self.lasts, self.radii, reach
+        )
+        left: FloatArray = world[~explained]
+        return left
 
     def _scratch_of(self, num_rays: int) -> tuple[Any, ...]:
         if self._scratch is None or len(self._scratch[0]) != num_rays:
