@@ -9,7 +9,7 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check --no-input
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test lint bench samples clean venv
+.PHONY: help demo test lint regress golden bench samples clean venv
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -26,12 +26,17 @@ lint: $(VENV)/.installed-dev  ## Check style, types and layers
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 
+regress: $(VENV)/.installed  ## Process the samples; fail if anything moved from tests/golden
+	@$(BIN)/python -m tests.golden.regression
+
+golden: $(VENV)/.installed  ## Make tests/golden anew, where a change is meant, and say what changed
+	@$(BIN)/python -m tests.golden.regression --renew
+
 bench: $(VENV)/.installed  ## Measure time and memory beside baselines: make bench [FLIGHT=folder]
 	@$(BIN)/python -m benchmarks $(if $(FLIGHT),--flight "$(FLIGHT)")
 
-samples: $(VENV)/.installed  ## Cut data/samples anew: make samples FLIGHT=path/to/webots_tests
-	@test -n "$(FLIGHT)" || { echo "make samples: name the flight to cut: FLIGHT=path/to/webots_tests" >&2; exit 2; }
-	@$(BIN)/python data/samples/make_samples.py "$(FLIGHT)"
+samples: $(VENV)/.installed  ## Fly data/samples anew
+	@$(BIN)/python data/samples/make_samples.py
 
 clean:  ## Remove what was built and written; .venv stays
 	@rm -rf build dist demo-output .coverage .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache

@@ -1,7 +1,8 @@
-"""The sample flight, from file to tables: what the project promises of its `report` profile."""
+"""The samples, from file to tables: what the project promises of its `report` profile."""
 
 from __future__ import annotations
 
+import runpy
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,14 +13,19 @@ from click.testing import CliRunner
 
 from beamseg_batch import load_config, open_recording, process_flight, read_run, write_run
 from beamseg_batch.cli.main import beamseg
+from beamseg_batch.recording import open_flight
 from tests.truth import ends_of, match_beams, read_beams, read_joints
 
 SAMPLES = Path(__file__).parents[1] / "data" / "samples"
 BEAMS = read_beams(SAMPLES / "arena_truth.csv")
-JOINTS = read_joints(SAMPLES / "arena_truth_intersections.csv")
+JOINTS = read_joints(SAMPLES / "arena_truth_joints.csv")
 CAMERA = ("--extrinsic", "0.071,0.011,0.04")
 NO_REPORT = ("--set", "outputs.report=false")
 DETERMINISTIC = ("segments.csv", "intersections.csv")
+
+RECORDINGS = ("arena.mcap", "arena.bag", "tower_panel.mcap", "empty.mcap")
+TRUTH = ("truth.csv", "truth_joints.csv", "true_poses.tum", "scene.json")
+make_sample = runpy.run_path(str(SAMPLES / "make_samples.py"))["make_sample"]
 
 Run = Callable[..., Path]
 
@@ -186,3 +192,57 @@ def test_sample__report_opens_offline(placed):
     assert len(page) < 8e6
     assert "<script src=" not in page
     assert "arena.mcap" in page
+
+
+# How the samples are made
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Fly all samples anew."""
+    folder = tmp_path_factory.mktemp("flown")
+    for name in RECORDINGS:
+        make_sample(name, folder)
+    return folder
+
+
+def scans_of(recording: Path) -> list:
+    return list(open_flight(open_recording(recording), load_config("report")).scans())
+
+
+def test_samples__take_up_less_than_12_mb():
+    assert sum(file.stat().st_size for file in SAMPLES.rglob("*") if file.is_file()) < 12e6
+
+
+def test_samples__whole_with_their_truth(flown):
+    beside = {f"{Path(name).stem}_{truth}" for name in RECORDINGS for truth in TRUTH}
+    made = {file.name for file in flown.iterdir()}
+    assert made == {*RECORDINGS, *beside}
+    assert made <= {file.name for file in SAMPLES.iterdir()}
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_make_sample__flies_what_is_here(flown, name):
+    """To the last bits, which another mathematical library may round otherwise."""
+    ours, theirs = scans_of(SAMPLES / name), scans_of(flown / name)
+    assert len(ours) == len(theirs) > 50
+    for one, other in zip(ours, theirs, strict=True):
+        assert (one.stamp_ns, one.pose_stamp_ns) == (other.stamp_ns, other.pose_stamp_ns)
+        np.testing.assert_allclose(one.points, other.points, atol=1e-5)
+        np.testing.assert_allclose(
+            one.T_world_body.translation, other.T_world_body.translation, atol=1e-9
+        )
+
+
+@pytest.mark.parametrize("table", ["truth.csv", "truth_joints.csv"])
+@pytest.mark.parametrize("sample", ["arena", "tower_panel", "empty"])
+def test_make_sample__knows_the_truth_that_is_here(flown, sample, table):
+    ours, theirs = (pd.read_csv(folder / f"{sample}_{table}") for folder in (SAMPLES, flown))
+    pd.testing.assert_frame_equal(ours, theirs, check_exact=False, atol=2e-6)
+
+
+@pytest.mark.parametrize("name", ["arena.bag", "empty.mcap"])
+def test_make_sample__the_same_bytes_again(flown, tmp_path, name):
+    make_sample(name, tmp_path)
+    for file in tmp_path.iterdir():
+        assert file.read_bytes() == (flown / file.name).read_bytes(), file.name
