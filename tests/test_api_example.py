@@ -1,4 +1,4 @@
-"""The example of the documented Python API runs as it stands."""
+"""The examples of the documented Python API run as they stand."""
 
 from __future__ import annotations
 
@@ -7,17 +7,19 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "python.md"
 
 
-def first_block(language: str) -> str:
-    """Give the first fenced block of a language on the page."""
+def block(language: str, number: int) -> str:
+    """Give a fenced block of a language on the page, counted from 0."""
     assert PAGE.is_file(), f"{PAGE} is missing: it must show the Python API by an example"
     text = PAGE.read_text(encoding="utf-8")
-    found = re.search(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
-    assert found, f"{PAGE} has no ```{language} block"
-    return found[1]
+    found = re.findall(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    assert len(found) > number, f"{PAGE} has {len(found)} ```{language} blocks"
+    return found[number]
 
 
 def shape_of(printed: str) -> str:
@@ -25,9 +27,10 @@ def shape_of(printed: str) -> str:
     return re.sub(r"\s+", "", re.sub(r"-?\d+\.?\d*", "#", printed))
 
 
-def test_example__runs_from_the_root_of_the_repository():
+@pytest.mark.parametrize("number", range(3))
+def test_example__runs_from_the_root_of_the_repository(number):
     done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", first_block("python")],
+        [sys.executable, "-W", "error", "-c", block("python", number)],
         cwd=ROOT,
         check=False,
         capture_output=True,
@@ -35,4 +38,4 @@ def test_example__runs_from_the_root_of_the_repository():
         encoding="utf-8",
     )
     assert (done.returncode, done.stderr) == (0, "")
-    assert shape_of(done.stdout) == shape_of(first_block("text"))
+    assert shape_of(done.stdout) == shape_of(block("text", number))

@@ -264,7 +264,7 @@ def test_load_config__override(override, path, expected):
 
 @pytest.mark.parametrize("text", ["detection.hough.granularity", "=5", ""])
 def test_load_config__raise_on_an_override_that_is_none(text):
-    with pytest.raises(ConfigError, match=r"write key\.path=value"):
+    with pytest.raises(ConfigError, match=r"write KEY=VALUE"):
         load_config(overrides=[text])
 
 

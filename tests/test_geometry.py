@@ -11,6 +11,8 @@ from beamseg_batch.errors import BeamsegError, ShapeError
 from beamseg_batch.geometry import (
     RigidTransform,
     angle_between_deg,
+    clusters,
+    connected,
     distances_to_line,
     interpolate_quaternion,
     line_parameters,
@@ -194,3 +196,18 @@ def test_rigid_transform__report_formula_by_hand():
 def test_rigid_transform__identity_moves_nothing():
     points = np.random.default_rng(1).normal(size=(4, 3))
     assert np.array_equal(RigidTransform.identity().apply(points), points)
+
+
+def test_connected__labels_by_the_lowest():
+    links = np.array([[5, 3], [3, 1], [0, 4]])
+    assert connected(6, links).tolist() == [0, 1, 2, 1, 0, 1]
+
+
+def test_clusters__chain_and_reach():
+    positions = np.array([[0.0, 0, 0], [5.0, 0, 0], [0.09, 0, 0], [0.18, 0, 0], [5.15, 0, 0]])
+    groups = clusters(positions, np.array([0.1, 0.1, 0.1, 0.1, 0.2]))
+    assert [group.tolist() for group in groups] == [[0, 2, 3], [1, 4]]
+
+
+def test_clusters__none():
+    assert clusters(np.empty((0, 3)), np.empty(0)) == []

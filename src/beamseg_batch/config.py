@@ -28,6 +28,7 @@ from beamseg_batch.schema import (
     YamlError,
     message_of,
     nearest,
+    parse_setting,
     problems,
     read_yaml,
     shortened,
@@ -413,21 +414,8 @@ def _nested(path: str, value: Any) -> dict[str, Any]:
 
 
 def _parse_override(text: str) -> dict[str, Any]:
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
-    path, equals, value = text.partition("=")
-    if not equals or not path.strip():
-        raise ConfigError(
-            f"{text!r} is not a setting; write key.path=value, "
-            "for example detection.hough.granularity=5"
-        )
-    try:
-        parsed = YAML(typ="safe", pure=True).load(value)
-    except (YAMLError, ValueError, RecursionError) as error:
-        raise ConfigError(f"{text!r}: the value is not valid YAML") from error
-    key = path.strip()
-    return _resolve_aliases({key: parsed}, key) if key in ALIASES else _nested(key, parsed)
+    key, value = parse_setting(text, "detection.hough.granularity=5")
+    return _resolve_aliases({key: value}, key) if key in ALIASES else _nested(key, value)
 
 
 def _merged(base: Mapping[str, Any], overlay: Mapping[str, Any]) -> dict[str, Any]:

@@ -29,6 +29,11 @@ class BeamsegError(Exception):
 
     exit_code = 1
 
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What is wrong: a sentence for each problem."""
+        return (str(self),)
+
 
 class ShapeError(BeamsegError, ValueError):
     """An array has not the shape that the function documents."""
@@ -81,9 +86,26 @@ class RunError(BeamsegError, ValueError):
 
 
 class WorldError(BeamsegError, ValueError):
-    """A description of a world, of a flight in it or of a sensor is not valid."""
+    """A description of a world, of a flight in it or of a sensor is not valid.
+
+    Parameters
+    ----------
+    *problems : str
+        ``FILE:LINE: KEY: what it must be, not VALUE``; all that were found.
+    """
 
     exit_code = 2
+
+    def __init__(self, *problems: str) -> None:
+        super().__init__(*problems)
+
+    def __str__(self) -> str:
+        return "\n".join(self.problems)
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What is wrong: a sentence for each problem."""
+        return self.args
 
 
 class TruthError(BeamsegError, ValueError):

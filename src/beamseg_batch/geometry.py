@@ -17,6 +17,8 @@ __all__ = [
     "FloatArray",
     "RigidTransform",
     "angle_between_deg",
+    "clusters",
+    "connected",
     "distances_to_line",
     "interpolate_quaternion",
     "line_parameters",
@@ -230,6 +232,58 @@ def interpolate_quaternion(
         return normalised((1.0 - share) * first_xyzw + share * second_xyzw)
     weights = np.sin([(1.0 - share) * angle, share * angle]) / np.sin(angle)
     return normalised(weights[0] * first_xyzw + weights[1] * second_xyzw)
+
+
+def connected(n: int, links: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Label what hangs together.
+
+    Parameters
+    ----------
+    n : int
+        Number of things.
+    links : (K, 2) int64
+        Pairs of things that belong together.
+
+    Returns
+    -------
+    (n,) int64
+        The lowest number among the things that hang together with each.
+    """
+    parent = list(range(n))
+
+    def root(thing: int) -> int:
+        while parent[thing] != thing:
+            parent[thing] = parent[parent[thing]]
+            thing = parent[thing]
+        return thing
+
+    for one, other in links.tolist():
+        low, high = sorted((root(one), root(other)))
+        parent[high] = low
+    return np.array([root(thing) for thing in range(n)], dtype=np.int64)
+
+
+def clusters(positions: FloatArray, reaches: FloatArray) -> list[NDArray[np.int64]]:
+    """Group positions that lie within reach of one another.
+
+    Parameters
+    ----------
+    positions : (N, 3) float64, metres
+    reaches : (N,) float64, metres
+        Two positions belong together within the larger of their reaches.
+
+    Returns
+    -------
+    list of (K,) int64
+        Indices of each group, ascending, in order of their first.
+    """
+    links = [np.empty((0, 2), dtype=np.int64)]
+    for i in range(len(positions) - 1):
+        distances = np.linalg.norm(positions[i + 1 :] - positions[i], axis=1)
+        near = np.flatnonzero(distances <= np.maximum(reaches[i + 1 :], reaches[i])) + i + 1
+        links.append(np.stack([np.full_like(near, i), near], axis=1))
+    labels = connected(len(positions), np.concatenate(links))
+    return [np.flatnonzero(labels == label) for label in np.unique(labels)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,8 @@ from typing import Annotated, Any, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from beamseg_batch.errors import ConfigError
+
 __all__ = [
     "Finite",
     "Interval",
@@ -22,6 +24,7 @@ __all__ = [
     "YamlError",
     "message_of",
     "nearest",
+    "parse_setting",
     "problems",
     "read_yaml",
     "shortened",
@@ -85,6 +88,39 @@ def read_yaml(path: Path) -> tuple[Any, Any]:
         raise YamlError(
             f"is not valid YAML: {reason}", None if line is None else line + 1
         ) from error
+
+
+def parse_setting(text: str, example: str) -> tuple[str, Any]:
+    """Read a setting of the command line.
+
+    Parameters
+    ----------
+    text : str
+        ``key.path=value``, the value in YAML.
+    example : str
+        A setting that would do, for the error.
+
+    Returns
+    -------
+    key : str
+    value : Any
+        Plain Python values.
+
+    Raises
+    ------
+    ConfigError
+        If it is no setting, or the value not YAML.
+    """
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip():
+        raise ConfigError(f"{text!r} is not a setting; write KEY=VALUE, for example {example}")
+    try:
+        return key.strip(), YAML(typ="safe", pure=True).load(value)
+    except (YAMLError, ValueError, TypeError, LookupError, RecursionError) as error:
+        raise ConfigError(f"{text!r}: the value is not valid YAML") from error
 
 
 def problems(error: ValidationError) -> list[Mapping[str, Any]]:

@@ -199,9 +199,9 @@ def test_recording__cut(call, here, name, part):
         ("filtering=3", "filtering is 3"),
         ("filtering.radii=[", "'filtering.radii=[': the value is not valid YAML"),
         ("filtering.radii=!!python/name:os.system", "is not valid YAML"),
-        ("nonsense", "'nonsense' is not a setting; write key.path=value"),
-        ("=3", "'=3' is not a setting; write key.path=value"),
-        ("", "'' is not a setting; write key.path=value"),
+        ("nonsense", "'nonsense' is not a setting; write KEY=VALUE"),
+        ("=3", "'=3' is not a setting; write KEY=VALUE"),
+        ("", "'' is not a setting; write KEY=VALUE"),
     ],
 )
 def test_set__bad_value(refused, flight, setting, message):

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
+import sqlite3
 
 import pytest
 
 from beamseg_batch.recording import open_recording
+from beamseg_batch.simulation.recorder import Recorder
+from beamseg_batch.world import world_names
 
 WORLD = """\
 members:
@@ -173,7 +177,10 @@ def test_simulate__existing_flight(ok, refused, world, here):
         (["world.yaml", "-o", "f.mcap", "--sensor", "voxl"], "unknown sensor 'voxl'"),
         (["world.yaml", "-o", "f.mcap", "--duration", "-1"], "--duration must be above 0, not -1"),
         (["world.yaml", "-o", "f.mcap", "--noise", "-1"], "camera.noise=-1.0: "),
-        (["world.yaml", "-o", "f.mcap", "--drift", "much"], "poses.walk_position=much: "),
+        (
+            ["world.yaml", "-o", "f.mcap", "--drift", "much"],
+            "--drift 'much': write metres",
+        ),
         (["world.yaml", "-o", "f.mcap", "--extrinsic", "1,2"], "write 3 or 6 numbers"),
         (["world.yaml", "-o", "f.mcap", "--duration", "0.01"], "is too short for a scan"),
         (["bad.yaml", "-o", "f.mcap"], "bad.yaml:6: flight.radius: must be above 0, not -1"),
@@ -185,6 +192,47 @@ def test_simulate__errors_are_one_line(refused, world, here, arguments, complain
     before = sorted(here.iterdir())
     assert complaint in refused(2, "simulate", *arguments)
     assert sorted(here.iterdir()) == before
+
+
+def test_simulate__a_line_for_each_problem(call, here):
+    (here / "bad.yaml").write_text(
+        "members:\n"
+        "  - {name: a, ends: [[0, 0, 0], [0, 0, 1]], radius: -1}\n"
+        "  - {name: b, ends: [[0, 0, 0], [0, 0, 1]], shape: hex}\n"
+    )
+    result = call("simulate", "bad.yaml", "-o", "f.mcap")
+    assert result.exit_code == 2
+    first, second = result.stderr.splitlines()
+    assert first == "beamseg: error: bad.yaml:2: members[0].radius: must be above 0, not -1"
+    assert second.startswith("beamseg: error: bad.yaml:3: members[1].shape: must be 'round',")
+
+
+def test_simulate__overwrites_no_input(refused, world):
+    before = world.read_bytes()
+    line = refused(2, "simulate", world, "-o", world, "--overwrite", "--format", "mcap")
+    assert line.endswith("world.yaml is no recording: it stays as it is")
+    assert world.read_bytes() == before
+
+
+def test_simulate__interrupt_leaves_nothing(call, world, here, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Recorder, "cloud", interrupt)
+    result = call("simulate", world, "-o", "sim/f.mcap", "-q", *FAST)
+    assert (result.exit_code, result.stderr) == (130, "beamseg: interrupted\n")
+    assert [path.name for path in here.iterdir()] == ["world.yaml"]
+
+
+@pytest.mark.parametrize("kind", ["db3", "ros2"])
+def test_simulate__full_disk(refused, world, here, monkeypatch, kind):
+    def full(*_):
+        raise sqlite3.OperationalError("database or disk is full")
+
+    monkeypatch.setattr(Recorder, "cloud", full)
+    line = refused(2, "simulate", world, "-o", "f", "--format", kind, "-q", *FAST)
+    assert line == "f: cannot be written: SQLite: database or disk is full"
+    assert [path.name for path in here.iterdir()] == ["world.yaml"]
 
 
 def test_simulate__world_that_says_no_flight(call, here):
@@ -200,6 +248,20 @@ def test_simulate__two_flights(call, world, waypoints):
     )
     assert result.exit_code == 2
     assert "name one of them" in result.stderr
+
+
+def test_simulate__help_names_shipped_worlds(ok):
+    text = ok("simulate", "--help").stdout
+    named = set(re.findall(r"beamseg simulate (\w+) ", text))
+    assert named
+    assert named <= set(world_names())
+
+
+@pytest.mark.parametrize("command", ["simulate", "evaluate", "compare"])
+def test_help__fits_a_terminal(ok, command):
+    lines = ok(command, "--help").stdout.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert "  Examples:" in lines
 
 
 def test_simulate__help_teaches(ok):

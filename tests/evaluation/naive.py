@@ -45,10 +45,3 @@ def assign(cost, allowed):
                     if n > best[0] or total < best[1]:
                         best = (n, total)
     return best
-
-
-def closest(one, other, n=400):
-    """Least distance between two segments, (2, 3) ends, over a grid of both."""
-    t = np.linspace(0.0, 1.0, n)[:, None]
-    points = [line[0] + t * (line[1] - line[0]) for line in (one, other)]
-    return np.linalg.norm(points[0][:, None] - points[1][None, :], axis=2).min()

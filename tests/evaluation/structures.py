@@ -9,9 +9,10 @@ import numpy as np
 
 from beamseg_batch.evaluation.matching import Lines
 from beamseg_batch.evaluation.results import Result
-from beamseg_batch.evaluation.truth import TrueJoint, Truth, meeting_places
+from beamseg_batch.evaluation.truth import Truth
 from beamseg_batch.geometry import RigidTransform, matrix_from_rpy
 from beamseg_batch.tables import SEGMENTS, TRUTH, TRUTH_JOINTS
+from beamseg_batch.world.joints import Joint, find_joints
 
 RADIUS = 0.05
 SPACING = 1.0  # between the members of `scattered`: none can be taken for another
@@ -41,7 +42,7 @@ def truth_of(ends, seen=None, radii=RADIUS, shapes=None, bows=0.0, joints=None):
         radii=radii,
         shapes=tuple(shapes or ["round"] * n),
         bows=np.broadcast_to(np.asarray(bows, dtype=np.float64), n).copy(),
-        joints=meeting_places(axes, radii) if joints is None else tuple(joints),
+        joints=find_joints(ends, radii) if joints is None else tuple(joints),
     )
 
 
@@ -93,7 +94,7 @@ def moved_truth(truth, transform):
         axes=moved_lines(truth.axes, transform),
         seen=transform.apply(truth.seen.reshape(-1, 3)).reshape(-1, 2, 3),
         joints=tuple(
-            TrueJoint(transform.apply(joint.position), joint.members) for joint in truth.joints
+            Joint(transform.apply(joint.position), joint.members) for joint in truth.joints
         ),
     )
 

@@ -11,9 +11,6 @@ from beamseg_batch.evaluation.matching import (
     assign,
     assignment_cost,
     candidates,
-    closest_points,
-    clusters,
-    connected,
     pair_measures,
 )
 from tests.evaluation import naive
@@ -188,35 +185,3 @@ def test_assignment_cost__prefers_what_is_nearer_by_centimetres():
     members = lines_of(ALONG_X)
     found = pair_measures(members, members.whole, pieces)
     assert assign(assignment_cost(found), candidates(found)).tolist() == [[0, 1]]
-
-
-# Groups
-
-
-def test_connected__labels_by_the_lowest():
-    links = np.array([[5, 3], [3, 1], [0, 4]])
-    assert connected(6, links).tolist() == [0, 1, 2, 1, 0, 1]
-
-
-def test_clusters__chain_and_reach():
-    positions = np.array([[0.0, 0, 0], [5.0, 0, 0], [0.09, 0, 0], [0.18, 0, 0], [5.15, 0, 0]])
-    groups = clusters(positions, np.array([0.1, 0.1, 0.1, 0.1, 0.2]))
-    assert [group.tolist() for group in groups] == [[0, 2, 3], [1, 4]]
-
-
-def test_clusters__none():
-    assert clusters(np.empty((0, 3)), np.empty(0)) == []
-
-
-@pytest.mark.parametrize("seed", range(10))
-def test_closest_points__slow_twin(seed):
-    ends = np.random.default_rng(seed).uniform(-1, 1, (2, 2, 3))
-    one, other = closest_points(lines_of(ends), 0, 1)
-    assert np.linalg.norm(one - other) == pytest.approx(naive.closest(*ends), abs=1e-2)
-    assert np.linalg.norm(one - other) <= naive.closest(*ends) + 1e-12
-
-
-def test_closest_points__parallel_and_apart():
-    lines = lines_of([ALONG_X[0], ALONG_X[0] + [2.5, 0.1, 0.0]])
-    one, other = closest_points(lines, 0, 1)
-    np.testing.assert_allclose([one, other], [[2.0, 0.0, 0.0], [2.5, 0.1, 0.0]], atol=1e-12)

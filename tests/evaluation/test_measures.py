@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from beamseg_batch.evaluation import MEASURES, evaluate, load_truth, metric_names
 from beamseg_batch.evaluation.matching import Lines
-from beamseg_batch.evaluation.truth import TrueJoint
+from beamseg_batch.world.joints import Joint
 from tests.evaluation.structures import (
     any_transform,
     moved_result,
@@ -289,7 +289,7 @@ def truth_with_joints():
     ends = np.array(rails + rungs, dtype=float)
     seen = ends.copy()
     seen[4] = np.nan
-    joints = [TrueJoint(corner, (0, k + 1)) for k, corner in enumerate(CORNERS)]
+    joints = [Joint(corner, (0, k + 1)) for k, corner in enumerate(CORNERS)]
     return truth_of(ends, seen, joints=joints)
 
 
@@ -335,7 +335,7 @@ def test_evaluate__a_joint_is_found_within_10_cm(distance, found):
 
 def test_evaluate__joints_are_paired_one_to_one():
     """One claimed joint between two true ones, and another beside the first, are both found."""
-    joints = [TrueJoint(np.array([x, 0.0, 0.0]), (0, 1)) for x in (0.0, 0.15)]
+    joints = [Joint(np.array([x, 0.0, 0.0]), (0, 1)) for x in (0.0, 0.15)]
     ends = [[[-1, 0, 0], [1, 0, 0]], [[0, 0, 0], [0, 1, 0]]]
     truth = truth_of(ends, joints=joints)
     metrics = metrics_of(ENDS, truth, joints=[[0.07, 0, 0], [-0.09, 0, 0]])
@@ -397,7 +397,7 @@ def random_case(seed):
     segments = [noisy(ends, seed), noisy(ends[:2], seed + 1), part(ends[2:4], 0.0, 0.3)]
     segments += [np.add(ends[:1], [0.0, 0.4, 0.0])]
     joints = ends[:3, 0] + rng.uniform(-0.05, 0.05, (3, 3))
-    true = tuple(TrueJoint(ends[k, 0], (k, k + 1)) for k in range(4))
+    true = tuple(Joint(ends[k, 0], (k, k + 1)) for k in range(4))
     result = result_of(np.concatenate(segments), joints=joints)
     return dataclasses.replace(truth, joints=true), result
 

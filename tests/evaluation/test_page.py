@@ -132,3 +132,19 @@ def test_render_evaluation__no_more_than_can_be_drawn(monkeypatch):
     for trace in traces(evaluation).values():
         assert len(trace["meta"]["labels"]) == 4
     assert "At most 4 of a kind are drawn." in render_evaluation(evaluation)
+
+
+def test_overlay_figure__members_that_were_not_seen_stand_apart():
+    ends = scattered(3)
+    seen = ends.copy()
+    seen[2] = np.nan
+    truth = truth_of(ends, seen)
+    drawn = traces(evaluate(truth, result_of(ends[:1])))
+    assert {
+        name: trace["meta"]["labels"][0].partition("<br>")[0] for name, trace in drawn.items()
+    } == {
+        "truth": "<b>member 1</b>",
+        "truth, missed": "<b>member 2</b>",
+        "truth, not seen": "<b>member 3</b>",
+        "matched": "<b>segment 0</b>: matched, member 1",
+    }

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
 from beamseg_batch.errors import ConfigError, RunError
-from beamseg_batch.evaluation.results import Timing, load_result, read_timing
-from tests.evaluation.structures import scattered, write_run
+from beamseg_batch.evaluation import evaluate
+from beamseg_batch.evaluation.documents import evaluation_json
+from beamseg_batch.evaluation.results import SIGMAS, Timing, load_result, read_timing
+from beamseg_batch.world.joints import Joint
+from tests.evaluation.structures import scattered, truth_of, write_run
 
 ORIGINAL = "segment,a_x,a_y,a_z,b_x,b_y,b_z,t_min,t_max"
 CROSS = np.array([[[-1, 0, 0], [1, 0, 0]], [[0, -1, 0.02], [0, 1, 0.02]]], dtype=float)
@@ -67,6 +72,48 @@ def test_load_result__columns_of_later_versions(tmp_path):
     assert set(result.sigmas) == {"offset", "end_1"}
     np.testing.assert_array_equal(result.sigmas["offset"], [0.001, np.nan])
     np.testing.assert_array_equal(result.bows, [0.01, 0.02])
+
+
+LATER = {
+    "section": ["", "i 100x140"],
+    "shape": ["round", "unknown"],
+    **{f"sigma_{name}": [0.001, ""] for name in ("offset", "angle_deg", "radius", "bow")},
+    **{f"sigma_end_{k}": ["", 0.002] for k in (1, 2)},
+    **{f"end_{k}_seen": [1, 0] for k in (1, 2)},
+    "bow": [-0.01, ""],
+}
+
+
+def test_evaluate__columns_and_joints_of_later_versions(tmp_path):
+    """Those that are known are measured, empty values claim nothing, and the rest is left."""
+    ends = scattered(2)
+    folder = write_run(tmp_path / "run", ends, **LATER)
+    (folder / "joints.csv").write_text("joint,x,y,z,segments,residual\n0,1,2,3,0;1,0.001\n")
+    result = load_result(folder)
+    assert set(result.sigmas) == set(SIGMAS)
+    np.testing.assert_array_equal(result.joints, [[1.0, 2.0, 3.0]])
+    truth = truth_of(ends, joints=[Joint(np.array([1.0, 2.0, 3.05]), (0, 1))])
+    evaluation = evaluate(truth, result)
+    assert evaluation.metrics["matched"] == 2
+    assert evaluation.metrics["bow_error.max"] == pytest.approx(0.01)
+    assert evaluation.metrics["honesty.offset"] == evaluation.metrics["honesty.ends"] == 1.0
+    json.loads(evaluation_json(evaluation))
+
+
+@pytest.mark.parametrize(
+    ("more", "reason"),
+    [
+        ({"sigma_offset": [0.001, "inf"]}, "row 2: sigma_offset is inf, not a number"),
+        ({"sigma_end_1": [-0.5, ""]}, "row 1: sigma_end_1 is -0.5, but must not be negative"),
+        ({"bow": [1e9, 0]}, r"row 1: bow is 1e\+09, beyond the limit 1e\+06"),
+        ({"segment": [4, 4]}, "row 2: segment 4 is in row 1 already"),
+        ({"radius": [0.05, -0.05]}, r"row 2: radius -0\.05 must be above 0"),
+        ({"a_x": [0, 1e300]}, r"row 2: a_x is 1e\+300, beyond the limit"),
+    ],
+)
+def test_load_result__values_that_cannot_be(tmp_path, more, reason):
+    with pytest.raises(RunError, match=rf"segments\.csv: {reason}"):
+        load_result(write_run(tmp_path, scattered(2), **more))
 
 
 @pytest.mark.parametrize(
@@ -192,4 +239,10 @@ def test_read_timing__nothing_to_read(tmp_path):
 def test_read_timing__broken_summary(tmp_path, text):
     (tmp_path / "summary.json").write_text(text)
     with pytest.raises(RunError, match=r"summary\.json: has no totals\.wall_s"):
+        read_timing(tmp_path)
+
+
+def test_read_timing__time_that_is_none(tmp_path):
+    (tmp_path / "summary.json").write_text('{"totals": {"wall_s": NaN}}')
+    with pytest.raises(RunError, match=r"summary\.json: totals\.wall_s is nan, not a number"):
         read_timing(tmp_path)

@@ -5,26 +5,21 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from beamseg_batch.errors import TruthError
 from beamseg_batch.evaluation import load_truth
-from beamseg_batch.evaluation.matching import Lines
-from beamseg_batch.evaluation.truth import meeting_places
 from tests.evaluation.structures import scattered, truth_of, write_truth
 
 TRUTHS = Path(__file__).parents[1] / "data" / "truths"
 SAMPLES = Path(__file__).parents[2] / "data" / "samples"
+WORLDS = Path(__file__).parents[2] / "configs" / "worlds"
 HEADER = "id,x1,y1,z1,x2,y2,z2,radius"
 
 
 def members_of(truth, joint):
     return {truth.names[m] for m in joint.members}
-
-
-def meeting(ends, radius=0.05):
-    ends = np.asarray(ends, dtype=np.float64)
-    return meeting_places(Lines.between(ends[:, 0], ends[:, 1]), np.full(len(ends), radius))
 
 
 # Flights with truth
@@ -47,13 +42,26 @@ def test_load_truth__counts_of_the_flights(name, members, seen, all_joints, tmp_
 
 
 @pytest.mark.parametrize("name", ["tower", "webots_tests"])
-def test_meeting_places__are_those_of_the_flights(name):
+def test_load_truth__computes_the_joints_of_the_flights(name, tmp_path):
     truth = load_truth(TRUTHS / f"{name}.csv")
-    computed = meeting_places(truth.axes, truth.radii)
+    alone = tmp_path / "truth.csv"
+    alone.write_bytes((TRUTHS / f"{name}.csv").read_bytes())
+    computed = load_truth(alone).joints
     for joint in truth.joints:
         near = min(computed, key=lambda other: np.linalg.norm(other.position - joint.position))
         assert np.linalg.norm(near.position - joint.position) < 1e-4
         assert members_of(truth, near) == members_of(truth, joint)
+
+
+def test_load_truth__shipped_tower_has_the_joints_of_the_flight():
+    """Members have other names in the world; their places and how many meet are the same."""
+    flight, world = load_truth(TRUTHS / "tower.csv"), load_truth(WORLDS / "lattice_tower.yaml")
+    assert len(flight.names) == len(world.names) == 76
+    assert len(world.joints) == 52
+    for joint in flight.joints:
+        near = min(world.joints, key=lambda other: np.linalg.norm(other.position - joint.position))
+        assert np.linalg.norm(near.position - joint.position) < 1e-4
+        assert len(near.members) == len(joint.members)
 
 
 def test_load_truth__which_ends_are_the_members_own():
@@ -132,10 +140,15 @@ def test_load_truth__members_hardly_seen(tmp_path):
     assert truth.spans.tolist() == [[0.0, 0.3], [0.0, 2.0], [0.0, 2.0]]
 
 
-def test_load_truth__table_without_what_was_seen():
-    truth = load_truth(SAMPLES / "arena_truth.csv")
+def test_load_truth__table_without_what_was_seen(tmp_path):
+    table = pd.read_csv(SAMPLES / "arena_truth.csv")
+    table[HEADER.split(",")].to_csv(tmp_path / "t.csv", index=False)
+    truth = load_truth(tmp_path / "t.csv")
     assert truth.own_ends.all()
-    assert [members_of(truth, joint) for joint in truth.joints] == [{"1", "2"}, {"1", "5"}]
+    assert [members_of(truth, joint) for joint in truth.joints] == [
+        {"SEG1", "SEG2"},
+        {"SEG1", "SEG5"},
+    ]
     assert "does not tell what was seen" in truth.notes[0]
 
 
@@ -207,35 +220,21 @@ def test_load_truth__not_text(tmp_path):
         load_truth(tmp_path)
 
 
-# Where members meet
+# Joints
 
 
-def test_meeting_places__within_the_sum_of_the_radii():
-    cross = [[[-1, 0, 0], [1, 0, 0]], [[0, -1, 0.099], [0, 1, 0.099]]]
-    (joint,) = meeting(cross)
-    np.testing.assert_allclose(joint.position, [0.0, 0.0, 0.0495], atol=1e-12)
-    assert joint.members == (0, 1)
-    assert meeting([cross[0], [[0, -1, 0.101], [0, 1, 0.101]]]) == ()
-
-
-def test_meeting_places__end_on_the_others_surface():
-    (joint,) = meeting([[[-1, 0, 0], [1, 0, 0]], [[0, 0.05, 0], [0, 1, 0]]])
-    np.testing.assert_allclose(joint.position, [0.0, 0.025, 0.0], atol=1e-12)
-    assert meeting([[[-1, 0, 0], [1, 0, 0]], [[0, 0.2, 0], [0, 1, 0]]]) == ()
-
-
-def test_meeting_places__several_members_at_one_place():
-    rng = np.random.default_rng(3)
-    (joint,) = meeting([[[1, 2, 3], rng.normal(size=3)] for _ in range(5)])
-    np.testing.assert_allclose(joint.position, [1.0, 2.0, 3.0], atol=1e-9)
-    assert joint.members == (0, 1, 2, 3, 4)
-
-
-def test_meeting_places__end_to_end_and_side_by_side():
-    one = [[0, 0, 0], [1, 0, 0]]
-    (joint,) = meeting([one, [[1, 0, 0], [2, 0, 0]]])
-    np.testing.assert_allclose(joint.position, [1.0, 0.0, 0.0], atol=1e-12)
-    assert meeting([one, [[0.2, 0.08, 0], [0.9, 0.08, 0]]]) == ()
+def test_load_truth__bent_member_meets_where_it_is(tmp_path):
+    """Its chord passes the post 0.2 m off; without the way of the bow there is only a chord."""
+    file = tmp_path / "truth.csv"
+    rows = ["a,-1,0,1,1,0,1,0.05,round,0.2,{}", "b,0,0,1.2,0,0,2,0.05,round,0,0"]
+    header = f"{HEADER},shape,bow,roll_deg\n"
+    file.write_text(header + "\n".join(rows).format("0") + "\n")
+    (joint,) = load_truth(file).joints
+    np.testing.assert_allclose(joint.position, [0.0, 0.0, 1.2], atol=1e-3)
+    file.write_text(header + "\n".join(rows).format("90") + "\n")
+    assert load_truth(file).joints == ()
+    file.write_text(header + "\n".join(rows).format("") + "\n")
+    assert load_truth(file).joints == ()
 
 
 def test_joint_counts__two_members_must_be_seen_there():

@@ -39,14 +39,16 @@ def centroid(corners):
 
 def to_polygon(points, corners):
     """Distance of points (N, 2) to a polygon, negative inside."""
-    nearest, inside = np.full(len(points), np.inf), np.zeros(len(points), dtype=bool)
-    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        share = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
-        nearest = np.minimum(nearest, np.linalg.norm(points - a - share[:, None] * (b - a), axis=1))
-        crosses = (a[1] > points[:, 1]) != (b[1] > points[:, 1])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            x = a[0] + (points[:, 1] - a[1]) / (b[1] - a[1]) * (b[0] - a[0])
-        inside ^= crosses & (points[:, 0] < x)
+    a, following = corners, np.roll(corners, -1, axis=0)
+    side, from_a = following - a, points[:, None] - a
+    share = np.clip((from_a * side).sum(axis=2) / (side**2).sum(axis=1), 0, 1)
+    nearest = np.linalg.norm(from_a - share[..., None] * side, axis=2).min(axis=1)
+    y = points[:, 1:]
+    crosses = (a[:, 1] > y) != (following[:, 1] > y)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x = a[:, 0] + (y - a[:, 1]) / side[:, 1] * side[:, 0]
+        beyond = crosses & (points[:, :1] < x)
+    inside = beyond.sum(axis=1) % 2 == 1
     return np.where(inside, -nearest, nearest)
 
 
@@ -60,7 +62,7 @@ def to_member(points, member):
         return 4 * bow * s * (length - s) / length**2, 4 * bow * (length - 2 * s) / length**2
 
     s = np.clip(w, 0, length)
-    for _ in range(8):  # the nearest point of the parabola, by Newton's method
+    for _ in range(8 if bow else 0):  # the nearest point of the parabola, by Newton's method
         height, slope = axis(s)
         off = v - height
         s = s - ((s - w) - off * slope) / (1 + slope**2 + off * 8 * bow / length**2)

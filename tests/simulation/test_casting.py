@@ -19,10 +19,10 @@ def unit_rays(grid):
     return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
-def walked_depths(distance, pose, grid):
+def walked_depths(distance, pose, grid, steps=300):
     """Depths by walking, (H, W), and the least distance of each ray to the surface."""
     rays = unit_rays(grid)
-    ranges, closest = walk(distance, pose.translation, pose.rotate(rays))
+    ranges, closest = walk(distance, pose.translation, pose.rotate(rays), steps=steps)
     shape = (len(grid.down), len(grid.right))
     return (ranges * rays[:, 0]).reshape(shape), closest.reshape(shape)
 
@@ -30,7 +30,9 @@ def walked_depths(distance, pose, grid):
 @pytest.mark.parametrize("view", range(len(VIEWS)))
 def test_cast__depths_of_every_shape(member, camera, view):
     hits = Caster(Scene("", (member,))).cast(VIEWS[view], camera.grid)
-    depths, closest = walked_depths(lambda p: to_member(p, member), VIEWS[view], camera.grid)
+    depths, closest = walked_depths(
+        lambda p: to_member(p, member), VIEWS[view], camera.grid, steps=150
+    )
     hit, expected = np.isfinite(hits.depths), np.isfinite(depths)
     # Walking comes to its end slowly where it grazes; and a bent member is a chain of pieces.
     assert np.all(closest[hit & ~expected] < 5e-4)

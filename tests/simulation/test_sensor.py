@@ -69,7 +69,7 @@ def test_load_sensor__settings():
         ("camera.nose=1", "unknown setting 'camera.nose'; did you mean 'camera.noise'"),
         ("nonsense.deep.er=1", "unknown setting 'nonsense.deep.er'"),
         ("camera.noise", "'camera.noise' is not a setting; write KEY=VALUE"),
-        ("camera.noise=-1", "camera.noise=-1: input should be greater than or equal to 0"),
+        ("camera.noise=-1", "camera.noise=-1: must be at least 0"),
         ("camera.noise=[", "'camera.noise=\\[': the value is not valid YAML"),
         ("camera.range=[4, 1]", "must be two rising depths from 0, not 4, 1"),
         ("extrinsic_in=hat", "'tf', 'cloud' or 'none'"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from beamseg_batch.geometry import matrix_from_rpy
 from beamseg_batch.simulation.solids import (
@@ -11,12 +10,11 @@ from beamseg_batch.simulation.solids import (
     BOX,
     CLUTTER,
     CYLINDER,
-    axis_nodes,
     distances_to_solids,
     solids_of,
 )
 from beamseg_batch.world.scene import Box, Rectangle, Scene, Sphere
-from tests.simulation.conftest import BOWS, SECTIONS, make_member
+from tests.simulation.conftest import make_member
 from tests.simulation.fields import to_member
 
 
@@ -58,20 +56,3 @@ def test_distances_to_solids__of_clutter():
     distances = distances_to_solids(solids, points)
     np.testing.assert_allclose(distances[:2, 0], [0.5, 0.0], atol=1e-12)
     np.testing.assert_allclose(distances[2, 1], 1.7)
-
-
-@pytest.mark.parametrize("bow", [0.0, 0.01, -0.05])
-def test_axis_nodes__lie_on_the_bowed_axis(bow):
-    straight = make_member()
-    member = type(straight)("", straight.start, straight.end, SECTIONS["round"], 0.6, bow)
-    nodes = axis_nodes(member)
-    np.testing.assert_allclose(nodes[[0, -1]], [member.start, member.end])
-    off = (nodes - (member.start + member.end) / 2) @ member.rotation[:, 1]
-    assert np.max(np.sign(bow) * off, initial=0.0) <= abs(bow) + 1e-12
-    assert np.max(np.sign(bow) * off) == pytest.approx(abs(bow), rel=1e-3)
-
-
-def test_axis_nodes__as_many_as_the_bow_needs():
-    assert len(axis_nodes(make_member())) == 2
-    assert 20 < len(axis_nodes(make_member(bow="bent"))) < 200
-    assert BOWS["bent"] == 0.05

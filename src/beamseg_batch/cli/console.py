@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from beamseg_batch.errors import OutputError
+from beamseg_batch.errors import BeamsegError, OutputError
 
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
@@ -74,9 +74,10 @@ def warn(text: str) -> None:
     note(f"warning: {text}")
 
 
-def complain(text: str) -> None:
-    """Tell a person why the command fails, on stderr."""
-    note(f"error: {text}")
+def complain(error: BeamsegError | str) -> None:
+    """Tell a person why the command fails, on stderr: a line for each problem."""
+    for problem in error.problems if isinstance(error, BeamsegError) else (error,):
+        note(f"error: {problem}")
 
 
 def _on_one_line(text: str) -> str:

@@ -57,10 +57,10 @@ def command(
 
     \b
     Examples:
-      beamseg evaluate out --truth truth.csv
-      beamseg evaluate out --truth arena.wbt --html evaluation.html
+      beamseg evaluate out --truth sim/truth
+      beamseg evaluate out --truth my.wbt --html evaluation.html
       beamseg evaluate out --truth truth.csv --require 'axis_offset.median<=0.005'
-      beamseg evaluate out --truth truth.csv --require @gates.yaml --junit gates.xml
+      beamseg evaluate out --truth truth.csv --require @gates.yaml --junit g.xml
 
     Exit code 3: a gate failed.
     """  # noqa: D301 (click reads the backspace)

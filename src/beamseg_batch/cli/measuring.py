@@ -60,8 +60,8 @@ _CHECK_OPTIONS = (
         "requirements",
         metavar="GATE",
         multiple=True,
-        help="Exit 3 unless this holds, such as 'recall>=0.99'; @FILE for a YAML list of "
-        "gates. Repeatable.",
+        help="Exit 3 unless this holds, METRIC SIGN NUMBER as in the examples; @FILE for a "
+        "YAML list of gates. Repeatable.",
     ),
     click.option(
         "--junit",

@@ -78,7 +78,13 @@ _LEAST_CLEARANCE_M = 0.2
     multiple=True,
     help="Change one value of the sensor, such as camera.dropout=0.05. Repeatable.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, help="Other chance, other flight.")
+@click.option(
+    "--seed",
+    metavar="NUMBER",
+    type=click.IntRange(min=0),
+    default=0,
+    help="Another seed is another flight through the same world; 0 without.",
+)
 @click.option(
     "--format",
     "format_",
@@ -109,17 +115,23 @@ def command(
 ) -> None:
     """Fly a camera through a known world: a recording with its truth.
 
-    WORLD is a YAML file, a Webots world (.wbt), or the name of a shipped world. The truth
-    beside the recording tells what stands there (truth.csv, truth_joints.csv), which part of
-    each member the flight saw, and where the drone truly was (true_poses.tum); 'beamseg
-    evaluate' measures a run against it. The same seed gives the same flight.
+    WORLD is a YAML file, a Webots world (.wbt), or the name of a shipped one such as arena,
+    lattice_tower or joints (docs/worlds.md shows them all). The truth beside the recording
+    tells what stands there (truth.csv, truth_joints.csv), which part of each member the
+    flight saw, and where the drone truly was (true_poses.tum); 'beamseg evaluate' measures a
+    run against it. The same seed gives the same flight.
 
     \b
     Examples:
       beamseg simulate arena -o sim/flight.mcap
-      beamseg simulate arena.wbt -o sim/flight.bag --waypoints wp.csv --noise 0.02
-      beamseg simulate tower -o sim/flight.mcap --sensor voxl_tof --drift 0.001,0.0005
-      beamseg simulate arena -o sim/flight.mcap --set poses.gaps=[[20,2]] --set camera.rate_hz=10
+      beamseg simulate my.wbt -o sim/flight.bag --waypoints wp.csv --noise 0.02
+      beamseg simulate lattice_tower -o tower/flight.mcap --drift 0.001,0.0005
+      beamseg simulate arena -o gap/flight.mcap --set poses.gaps=[[20,2]]
+
+    \b
+    Then:
+      beamseg run sim/flight.mcap -o out
+      beamseg evaluate out --truth sim/truth
     """  # noqa: D301 (click reads the backspace)
     from beamseg_batch.simulation import FlightOutput, Simulation, choose_kind, load_sensor
     from beamseg_batch.world import load_scene_file
@@ -185,13 +197,25 @@ def _settings(
     if noise is not None:
         yield f"camera.noise={noise}"
     if drift is not None:
-        metres, _, radians = drift.partition(",")
+        metres, radians = _two_numbers("--drift", drift)
         yield f"poses.walk_position={metres}"
-        yield f"poses.walk_attitude={radians or 0.0}"
+        yield f"poses.walk_attitude={radians}"
     if extrinsic is not None:
         yield f"extrinsic={json.dumps(parse_extrinsic(extrinsic))}"
     if extrinsic_in is not None:
         yield f"extrinsic_in={extrinsic_in}"
+
+
+def _two_numbers(option: str, text: str) -> tuple[float, float]:
+    """Read one or two numbers; the second is 0 without."""
+    try:
+        first, *rest = [float(part) for part in text.split(",")]
+        (second,) = rest or [0.0]
+    except ValueError:
+        raise ConfigError(
+            f"{option} {text!r}: write metres, or metres,radians, for example 0.001,0.0005"
+        ) from None
+    return first, second
 
 
 def _positive(option: str, value: float | None) -> float | None:

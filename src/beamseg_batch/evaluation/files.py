@@ -13,7 +13,10 @@ from beamseg_batch.errors import OutputError, RunError
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.tables import ColumnArrays
 
-__all__ = ["read_text", "require_finite", "vectors", "write_text"]
+__all__ = ["read_text", "require_finite", "require_unique", "vectors", "write_text"]
+
+_LIMIT = 1e6
+"""Largest size of a number: far beyond any structure, and its square is still one."""
 
 
 def read_text(path: Path) -> str:
@@ -45,6 +48,8 @@ def write_text(path: Path, text: str) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         part.write_text(text, encoding="utf-8", newline="\n")
         part.replace(path)
+    except FileExistsError as error:
+        raise OutputError(f"{path}: cannot be written: {path.parent} is no folder") from error
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
     finally:
@@ -58,7 +63,7 @@ def vectors(columns: ColumnArrays, names: Sequence[str]) -> FloatArray:
 
 
 def require_finite(columns: ColumnArrays, names: Iterable[str], where: str) -> None:
-    """Refuse columns that hold no number somewhere.
+    """Refuse columns that hold no number somewhere, or one beyond 1e6.
 
     Parameters
     ----------
@@ -71,10 +76,39 @@ def require_finite(columns: ColumnArrays, names: Iterable[str], where: str) -> N
     Raises
     ------
     RunError
-        If a value is missing, NaN or infinite; it names the first such row.
+        If a value is missing, NaN, infinite or too large; it names the first such row.
     """
     for name in names:
         wrong = np.flatnonzero(~np.isfinite(columns[name]))
         if len(wrong):
             value = columns[name][wrong[0]]
             raise RunError(f"{where}: row {wrong[0] + 1}: {name} is {value}, not a number")
+        beyond = np.flatnonzero(np.abs(columns[name]) > _LIMIT)
+        if len(beyond):
+            value = columns[name][beyond[0]]
+            raise RunError(
+                f"{where}: row {beyond[0] + 1}: {name} is {value:g}, beyond the limit {_LIMIT:g}"
+            )
+
+
+def require_unique(names: Iterable[object], what: str, where: str) -> None:
+    """Refuse a name that stands in two rows.
+
+    Parameters
+    ----------
+    names : iterable
+        Of the rows, in order.
+    what : str
+        What they name, for the error: ``member``.
+    where : str
+        The file, likewise.
+
+    Raises
+    ------
+    RunError
+        It names both rows.
+    """
+    rows: dict[object, int] = {}
+    for row, name in enumerate(names, start=1):
+        if rows.setdefault(name, row) != row:
+            raise RunError(f"{where}: row {row}: {what} {name!r} is in row {rows[name]} already")

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from beamseg_batch.geometry import FloatArray
+from beamseg_batch.geometry import FloatArray, connected
 
 __all__ = [
     "MAX_ANGLE_DEG",
@@ -23,9 +23,6 @@ __all__ = [
     "assign",
     "assignment_cost",
     "candidates",
-    "closest_points",
-    "clusters",
-    "connected",
     "pair_measures",
 ]
 
@@ -328,94 +325,3 @@ def _columns_of_rows(cost: FloatArray) -> NDArray[np.int64]:
     used = row_of >= 0
     columns[row_of[used]] = np.flatnonzero(used)
     return columns
-
-
-def connected(n: int, links: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Label what hangs together.
-
-    Parameters
-    ----------
-    n : int
-        Number of things.
-    links : (K, 2) int64
-        Pairs of things that belong together.
-
-    Returns
-    -------
-    (n,) int64
-        The lowest number among the things that hang together with each.
-    """
-    parent = list(range(n))
-
-    def root(thing: int) -> int:
-        while parent[thing] != thing:
-            parent[thing] = parent[parent[thing]]
-            thing = parent[thing]
-        return thing
-
-    for one, other in links.tolist():
-        low, high = sorted((root(one), root(other)))
-        parent[high] = low
-    return np.array([root(thing) for thing in range(n)], dtype=np.int64)
-
-
-def clusters(positions: FloatArray, reaches: FloatArray) -> list[NDArray[np.int64]]:
-    """Group positions that lie within reach of one another.
-
-    Parameters
-    ----------
-    positions : (N, 3) float64, metres
-    reaches : (N,) float64, metres
-        Two positions belong together within the larger of their reaches.
-
-    Returns
-    -------
-    list of (K,) int64
-        Indices of each group, ascending, in order of their first.
-    """
-    links = [np.empty((0, 2), dtype=np.int64)]
-    for i in range(len(positions) - 1):
-        distances = np.linalg.norm(positions[i + 1 :] - positions[i], axis=1)
-        near = np.flatnonzero(distances <= np.maximum(reaches[i + 1 :], reaches[i])) + i + 1
-        links.append(np.stack([np.full_like(near, i), near], axis=1))
-    labels = connected(len(positions), np.concatenate(links))
-    return [np.flatnonzero(labels == label) for label in np.unique(labels)]
-
-
-def closest_points(lines: Lines, i: int, j: int) -> tuple[FloatArray, FloatArray]:
-    """Points of two lines, between their ends, that lie nearest to one another.
-
-    Parameters
-    ----------
-    lines : Lines
-    i, j : int
-        Which two.
-
-    Returns
-    -------
-    two (3,) float64, metres
-        On the first and on the second line.
-    """
-    pairs = [
-        (lines.starts[i], _nearest_on(lines, j, lines.starts[i])),
-        (lines.ends[i], _nearest_on(lines, j, lines.ends[i])),
-        (_nearest_on(lines, i, lines.starts[j]), lines.starts[j]),
-        (_nearest_on(lines, i, lines.ends[j]), lines.ends[j]),
-    ]
-    cosine = float(lines.directions[i] @ lines.directions[j])
-    square = 1.0 - cosine**2
-    if square > 1e-12:  # else parallel: then an end is among the nearest points
-        between = lines.starts[j] - lines.starts[i]
-        along_i, along_j = between @ lines.directions[i], between @ lines.directions[j]
-        t_i = (along_i - cosine * along_j) / square
-        t_j = (cosine * along_i - along_j) / square
-        if 0.0 <= t_i <= lines.lengths[i] and 0.0 <= t_j <= lines.lengths[j]:
-            on_i = lines.starts[i] + t_i * lines.directions[i]
-            pairs.append((on_i, lines.starts[j] + t_j * lines.directions[j]))
-    return min(pairs, key=lambda pair: float(np.linalg.norm(pair[0] - pair[1])))
-
-
-def _nearest_on(lines: Lines, i: int, point: FloatArray) -> FloatArray:
-    t = float(np.clip((point - lines.starts[i]) @ lines.directions[i], 0.0, lines.lengths[i]))
-    nearest: FloatArray = lines.starts[i] + t * lines.directions[i]
-    return nearest

@@ -92,10 +92,9 @@ def overlay_figure(evaluation: Evaluation) -> Figure:
     true_ends = np.stack([truth.axes.starts, truth.axes.ends], axis=1)
     ends = np.stack([result.axes.starts, result.axes.ends], axis=1)
     traces = []
-    for name, missed, opacity in (("truth", False, 0.45), ("truth, missed", True, 0.9)):
-        rows = [m for m in range(len(true_ends)) if (m in evaluation.missed) == missed]
+    for name, colour, opacity, rows in _members_by_fate(evaluation):
         labels = [f"<b>member {truth.names[m]}</b><br>{_size(truth, m)}" for m in rows]
-        trace = _cylinders(name, _TRUE, true_ends, _TRUE_SHARE * truth.radii, rows, labels)
+        trace = _cylinders(name, colour, true_ends, _TRUE_SHARE * truth.radii, rows, labels)
         traces += [trace | {"opacity": opacity}] if trace else []
     for verdict, colour in _COLOURS.items():
         rows = [s for s, found in enumerate(evaluation.verdicts) if found == verdict]
@@ -137,6 +136,17 @@ def errors_figure(evaluation: Evaluation) -> Figure:
     for axis, numbers in values.items():
         layout[f"{axis}axis"]["range"] = [0.0, 1.15 * float(numbers.max(initial=1e-6))]
     return {"data": [trace], "layout": layout}
+
+
+def _members_by_fate(evaluation: Evaluation) -> list[tuple[str, str, float, list[int]]]:
+    """Name, colour, opacity and members of each kind of true member."""
+    counts, missed = evaluation.truth.counts, set(evaluation.missed)
+    seen = np.flatnonzero(counts).tolist()
+    return [
+        ("truth", _TRUE, 0.45, [member for member in seen if member not in missed]),
+        ("truth, missed", _TRUE, 0.9, sorted(missed)),
+        ("truth, not seen", _ASIDE, 0.3, np.flatnonzero(~counts).tolist()),
+    ]
 
 
 def _cylinders(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamseg_batch.errors import ConfigError, RunError
-from beamseg_batch.evaluation.files import read_text, require_finite, vectors
-from beamseg_batch.evaluation.matching import Lines, clusters
-from beamseg_batch.geometry import FloatArray
+from beamseg_batch.evaluation.files import read_text, require_finite, require_unique, vectors
+from beamseg_batch.evaluation.matching import Lines
+from beamseg_batch.geometry import FloatArray, clusters
 from beamseg_batch.tables import (
     INTERSECTIONS,
     PROCESSING_TIME,
@@ -119,6 +120,8 @@ def load_result(folder: Path, radius: float | None = None) -> Result:
     table = _with_optional(SEGMENTS, _MAY_BE_THERE)
     columns = table.decode(read_text(file), str(file), _ORIGINAL)
     require_finite(columns, _ORIGINAL[1:], str(file))
+    require_unique(columns["segment"].tolist(), "segment", str(file))
+    _require_sound_claims(columns, str(file))
     axes = _axes(columns, str(file))
     radii = _radii(columns, radius, str(file))
     touching, joints = _joints(folder, columns, radii)
@@ -135,6 +138,18 @@ def load_result(folder: Path, radius: float | None = None) -> Result:
         joints=joints,
         notes=() if joints is not None else (f"{folder} says nothing of joints",),
     )
+
+
+def _require_sound_claims(columns: ColumnArrays, where: str) -> None:
+    """Refuse deviations that are none; an empty one claims nothing."""
+    for name in (name for name in _MAY_BE_THERE if name in columns):
+        values = np.nan_to_num(columns[name], nan=0.0, posinf=np.inf, neginf=-np.inf)
+        require_finite({name: values}, (name,), where)
+        if name.startswith("sigma_") and (values < 0.0).any():
+            row = int(np.argmax(values < 0.0))
+            raise RunError(
+                f"{where}: row {row + 1}: {name} is {values[row]:g}, but must not be negative"
+            )
 
 
 def read_timing(folder: Path) -> Timing:
@@ -170,9 +185,12 @@ def _summary_wall_s(file: Path, otherwise: float | None) -> float | None:
     if not file.is_file():
         return otherwise
     try:
-        return float(json.loads(read_text(file))["totals"]["wall_s"])
+        wall_s = float(json.loads(read_text(file))["totals"]["wall_s"])
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise RunError(f"{file}: has no totals.wall_s: {error}") from error
+    if not math.isfinite(wall_s):
+        raise RunError(f"{file}: totals.wall_s is {wall_s}, not a number")
+    return wall_s
 
 
 def _axes(columns: ColumnArrays, where: str) -> Lines:
@@ -192,6 +210,9 @@ def _radii(columns: ColumnArrays, radius: float | None, where: str) -> FloatArra
     if "radius" in columns:
         require_finite(columns, ("radius",), where)
         radii: FloatArray = columns["radius"]
+        if not (radii > 0.0).all():
+            row = int(np.argmin(radii > 0.0))
+            raise RunError(f"{where}: row {row + 1}: radius {radii[row]:g} must be above 0")
         return radii
     if radius is None:
         raise ConfigError(f"{where}: has no column radius; give it, such as --radius 0.05")

@@ -11,19 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamseg_batch.errors import RunError, TruthError
-from beamseg_batch.evaluation.files import read_text, require_finite, vectors
-from beamseg_batch.evaluation.matching import Lines, closest_points, clusters
+from beamseg_batch.evaluation.files import read_text, require_finite, require_unique, vectors
+from beamseg_batch.evaluation.matching import Lines
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.tables import TRUTH, TRUTH_JOINTS, ColumnArrays
+from beamseg_batch.world.joints import Joint, find_joints
+from beamseg_batch.world.scene import Member, Section
 
 __all__ = [
     "JOINT_M",
     "MIN_SEEN_M",
     "OWN_END_M",
-    "TrueJoint",
     "Truth",
     "load_truth",
-    "meeting_places",
 ]
 
 MIN_SEEN_M = 0.3
@@ -33,18 +33,9 @@ OWN_END_M = 0.03
 JOINT_M = 0.1
 """Within this, a joint is found; and so near must have been seen what meets there."""
 
-_PARALLEL = 1e-3  # sine of an angle below which two axes have no one place where they meet
 _WORLDS = (".yaml", ".yml", ".wbt")
 _ENDS = ("x1", "y1", "z1", "x2", "y2", "z2")
 _SEEN = tuple(f"o{name}" for name in _ENDS)
-
-
-@dataclass(frozen=True, eq=False)
-class TrueJoint:
-    """A place where members meet: `position` (3,) metres, `members` by index."""
-
-    position: FloatArray
-    members: tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +57,7 @@ class Truth:
     shapes : tuple of str
     bows : (M,) float64
         Deviation of the axis from its chord at mid-length, never negative.
-    joints : tuple of TrueJoint
+    joints : tuple of Joint
     notes : tuple of str
         What a reader of the figures must know.
     """
@@ -78,7 +69,7 @@ class Truth:
     radii: FloatArray
     shapes: tuple[str, ...]
     bows: FloatArray
-    joints: tuple[TrueJoint, ...]
+    joints: tuple[Joint, ...]
     notes: tuple[str, ...] = ()
 
     @cached_property
@@ -108,7 +99,7 @@ class Truth:
         """(J,) bool: joints near which at least two members that count were seen."""
         return np.array([self._n_seen_at(joint) >= 2 for joint in self.joints], dtype=bool)
 
-    def _n_seen_at(self, joint: TrueJoint) -> int:
+    def _n_seen_at(self, joint: Joint) -> int:
         near = 0
         for member in joint.members:
             low, high = self.spans[member]
@@ -148,58 +139,6 @@ def load_truth(path: Path) -> Truth:
         raise TruthError(str(error)) from error
 
 
-def meeting_places(axes: Lines, radii: FloatArray) -> tuple[TrueJoint, ...]:
-    """Find where members meet.
-
-    Parameters
-    ----------
-    axes : Lines
-    radii : (M,) float64, metres
-
-    Returns
-    -------
-    tuple of TrueJoint
-        Two members meet where their axes, between their ends, come within the sum of
-        their radii; places within that reach of one another are one. Members that run
-        along one another have no one such place.
-    """
-    pairs, places, reaches = [], [], []
-    for i, j in _close_pairs(axes, radii):
-        on_i, on_j = closest_points(axes, i, j)
-        reach = radii[i] + radii[j]
-        if np.linalg.norm(on_i - on_j) <= reach and not _run_along(axes, i, j, reach):
-            pairs.append((i, j))
-            places.append((on_i + on_j) / 2.0)
-            reaches.append(reach)
-    positions = np.array(places).reshape(-1, 3)
-    return tuple(
-        TrueJoint(
-            positions[group].mean(axis=0), tuple(sorted({m for k in group for m in pairs[k]}))
-        )
-        for group in clusters(positions, np.array(reaches))
-    )
-
-
-def _close_pairs(axes: Lines, radii: FloatArray) -> NDArray[np.int64]:
-    """Pairs of members, (K, 2), whose boxes overlap: all others are too far from one another."""
-    low = np.minimum(axes.starts, axes.ends) - radii[:, None]
-    high = np.maximum(axes.starts, axes.ends) + radii[:, None]
-    pairs = [np.empty((0, 2), dtype=np.int64)]
-    for i in range(len(axes) - 1):
-        overlap = (low[i] <= high[i + 1 :]) & (low[i + 1 :] <= high[i])
-        others = np.flatnonzero(overlap.all(axis=1)) + i + 1
-        pairs.append(np.stack([np.full_like(others, i), others], axis=1))
-    return np.concatenate(pairs)
-
-
-def _run_along(axes: Lines, i: int, j: int, reach: float) -> bool:
-    sine = float(np.linalg.norm(np.cross(axes.directions[i], axes.directions[j])))
-    ends = np.array([axes.starts[j], axes.ends[j]])
-    low, high = np.sort((ends - axes.starts[i]) @ axes.directions[i])
-    beside = min(float(high), float(axes.lengths[i])) - max(float(low), 0.0)
-    return sine < _PARALLEL and beside > reach
-
-
 def _from_world(path: Path) -> Truth:
     from beamseg_batch.world import load_scene_file
 
@@ -210,16 +149,15 @@ def _from_world(path: Path) -> Truth:
         np.array([member.start for member in scene.members], dtype=np.float64),
         np.array([member.end for member in scene.members], dtype=np.float64),
     )
-    radii = np.array([member.section.radius for member in scene.members])
     return Truth(
         source=str(path),
         names=tuple(member.name for member in scene.members),
         axes=axes,
         seen=_whole(axes),
-        radii=radii,
+        radii=np.array([member.section.radius for member in scene.members]),
         shapes=tuple(member.section.shape for member in scene.members),
         bows=np.abs([member.bow for member in scene.members]),
-        joints=meeting_places(axes, radii),
+        joints=scene.joints,
         notes=(*scene.notes, "a world does not tell what was seen: members count as seen whole"),
     )
 
@@ -232,7 +170,8 @@ def _from_table(path: Path) -> Truth:
     if n == 0:
         raise TruthError(f"{where}: has no member")
     require_finite(columns, (*_ENDS, "radius"), where)
-    names = _unique_names(columns, where)
+    names = tuple(columns["id"].tolist())
+    require_unique(names, "member", where)
     axes = _axes(columns, where)
     radii = columns["radius"]
     if not (radii > 0.0).all():
@@ -248,17 +187,9 @@ def _from_table(path: Path) -> Truth:
         radii=radii,
         shapes=tuple(shapes.tolist()),
         bows=np.nan_to_num(np.abs(columns.get("bow", np.zeros(n)))),
-        joints=_joints(path, names, axes, radii),
+        joints=_joints(path, names, columns),
         notes=notes,
     )
-
-
-def _unique_names(columns: ColumnArrays, where: str) -> tuple[str, ...]:
-    names: dict[str, int] = {}
-    for row, name in enumerate(columns["id"].tolist(), start=1):
-        if names.setdefault(name, row) != row:
-            raise TruthError(f"{where}: row {row}: member {name!r} is in row {names[name]} already")
-    return tuple(names)
 
 
 def _axes(columns: ColumnArrays, where: str) -> Lines:
@@ -294,18 +225,29 @@ def _whole(axes: Lines) -> FloatArray:
     return np.stack([axes.starts, axes.ends], axis=1)
 
 
-def _joints(
-    path: Path, names: Sequence[str], axes: Lines, radii: FloatArray
-) -> tuple[TrueJoint, ...]:
+def _joints(path: Path, names: Sequence[str], columns: ColumnArrays) -> tuple[Joint, ...]:
     """Joints of the file beside the truth, else those of the axes."""
     for ending in ("joints", "intersections"):
         beside = path.with_name(f"{path.stem}_{ending}.csv")
         if beside.is_file():
             return _joints_from_table(beside, names)
-    return meeting_places(axes, radii)
+    return find_joints(_nodes(columns), columns["radius"])
 
 
-def _joints_from_table(path: Path, names: Sequence[str]) -> tuple[TrueJoint, ...]:
+def _nodes(columns: ColumnArrays) -> list[FloatArray]:
+    """Nodes of the axes: bent where the table tells by how much and which way."""
+    starts, ends = vectors(columns, _ENDS[:3]), vectors(columns, _ENDS[3:])
+    unknown = np.full(len(starts), np.nan)
+    bows, rolls = (columns.get(name, unknown) for name in ("bow", "roll_deg"))
+    bows = np.where(np.isfinite(bows + rolls), bows, 0.0)
+    section = Section("round", 0.0, 0.0)  # an axis has none
+    return [
+        Member("", start, end, section, np.radians(roll), bow).nodes
+        for start, end, roll, bow in zip(starts, ends, np.nan_to_num(rolls), bows, strict=True)
+    ]
+
+
+def _joints_from_table(path: Path, names: Sequence[str]) -> tuple[Joint, ...]:
     where = str(path)
     columns = TRUTH_JOINTS.decode(read_text(path), where)
     require_finite(columns, ("x", "y", "z"), where)
@@ -316,5 +258,5 @@ def _joints_from_table(path: Path, names: Sequence[str]) -> tuple[TrueJoint, ...
         unknown = [name for name in met if name not in places]
         if unknown:
             raise TruthError(f"{where}: row {row + 1}: the truth has no member {unknown[0]!r}")
-        joints.append(TrueJoint(position, tuple(places[name] for name in met)))
+        joints.append(Joint(position, tuple(places[name] for name in met)))
     return tuple(joints)

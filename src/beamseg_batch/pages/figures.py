@@ -181,7 +181,7 @@ def axes_layout(across: str, up: str) -> dict[str, Any]:
     """Lay out a figure with two named axes."""
     return {
         "xaxis": {"title": {"text": across}},
-        "yaxis": {"title": {"text": up}},
+        "yaxis": {"title": {"text": up, "standoff": 10}, "automargin": True},
         "margin": {"l": 56, "r": 12, "t": 12, "b": 48},
         "showlegend": False,
     }

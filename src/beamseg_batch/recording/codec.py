@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from beamseg_batch.errors import RecordingError
@@ -164,6 +165,7 @@ class MessageCodec:
         return store.deserialize_ros1 if definition.encoding == ROS1 else store.deserialize_cdr
 
 
+@lru_cache(maxsize=64)  # compiling a type takes longer than reading many scans
 def _typestore(msgtype: str, definition: Definition) -> Typestore:
     """Build the store of one type: the recording's own definition, else the default one."""
     from rosbags.typesys import Stores, TypesysError, get_typestore

@@ -73,7 +73,7 @@ class Caster:
     ------
     WorldError
         If a mesh cannot be read.
-    MissingLibraryError
+    Open3DMissingError
         If the scene has meshes and Open3D is missing.
     """
 

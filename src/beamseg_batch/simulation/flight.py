@@ -10,7 +10,6 @@ import numpy as np
 
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import Trajectory
-from beamseg_batch.simulation.joints import find_joints
 from beamseg_batch.simulation.output import FlightOutput, write_files
 from beamseg_batch.simulation.pose_stream import (
     START_NS,
@@ -143,7 +142,7 @@ class Simulation:
             truth = FlightTruth(
                 scene=self.scene,
                 seen=tuple(scans.seen()),
-                joints=tuple(find_joints(self.scene.members)),
+                joints=self.scene.joints,
                 poses=true,
                 n_scans=len(scans.times),
                 clearance_m=None if clearance is None else clearance.distance_m,

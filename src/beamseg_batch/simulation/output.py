@@ -11,12 +11,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from beamseg_batch.errors import OutputError
+from beamseg_batch.errors import BeamsegError, OutputError
 
 __all__ = ["TRUTH_FILES", "FlightOutput", "write_files"]
 
 TRUTH_FILES = ("truth.csv", "truth_joints.csv", "true_poses.tum", "scene.json")
 """Names of the files in the folder ``truth``."""
+
+_STARTS = (b"\x89MCAP", b"#ROSBAG", b"SQLite format 3\0")
+"""First bytes of the recordings that are files."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,8 @@ class FlightOutput:
         """
         if not self.recording.name:
             raise OutputError(f"{self.recording}: names no file; choose another place with -o")
+        if self.recording == self.truth:
+            raise OutputError(f"{self.truth} is where the truth goes; choose another name with -o")
         if not self.overwrite:
             for path in (self.recording, self.truth):
                 if os.path.lexists(path):
@@ -57,8 +62,10 @@ class FlightOutput:
                         f"{path} exists already; use --overwrite to replace it, or -o for a file "
                         "in another folder"
                     )
-        if self.recording.is_dir() and not _is_bag_folder(self.recording):
-            raise OutputError(f"{self.recording} is a folder, but no ROS 2 bag: it stays as it is")
+        with _explained(self.recording):
+            in_the_way = os.path.lexists(self.recording) and not _is_recording(self.recording)
+        if in_the_way:
+            raise OutputError(f"{self.recording} is no recording: it stays as it is")
         if self.truth.exists() and not self.truth.is_dir():
             raise OutputError(f"{self.truth} is a file, so the truth cannot be written into it")
 
@@ -82,11 +89,12 @@ class FlightOutput:
         staging = self.recording.parent / f".beamseg-{secrets.token_hex(6)}"
         with _explained(self.recording):
             created = [folder for folder in staging.parents if not folder.exists()]
-            (staging / "truth").mkdir(parents=True)
+            for name in ("recording", "truth", "old"):
+                (staging / name).mkdir(parents=True)
         done = False
         try:
-            yield staging / self.recording.name, staging / "truth"
             with _explained(self.recording):
+                yield staging / "recording" / self.recording.name, staging / "truth"
                 self._move(staging)
             done = True
         finally:
@@ -98,11 +106,10 @@ class FlightOutput:
     def _move(self, staging: Path) -> None:
         """Put everything in its place; if something cannot be, what was there comes back."""
         moves = {
-            staging / self.recording.name: self.recording,
+            staging / "recording" / self.recording.name: self.recording,
             **{staging / "truth" / name: self.truth / name for name in TRUTH_FILES},
         }
         self.truth.mkdir(exist_ok=True)
-        (staging / "old").mkdir()
         with contextlib.ExitStack() as undo:
             for number, (new, target) in enumerate(moves.items()):
                 old = staging / "old" / str(number)
@@ -114,8 +121,15 @@ class FlightOutput:
             undo.pop_all()
 
 
-def _is_bag_folder(path: Path) -> bool:
-    return (path / "metadata.yaml").is_file()
+def _is_recording(path: Path) -> bool:
+    """Whether a path is a ROS 2 bag, or a file that begins as a recording does, or is empty."""
+    if path.is_dir():
+        return (path / "metadata.yaml").is_file()
+    if not path.is_file():  # a device, or a link that leads nowhere
+        return False
+    with path.open("rb") as stream:
+        start = stream.read(16)
+    return not start or start.startswith(_STARTS)
 
 
 @contextmanager
@@ -123,6 +137,8 @@ def _explained(path: Path) -> Iterator[None]:
     """Turn an error of the operating system into one that names the path and the reason."""
     try:
         yield
+    except BeamsegError:
+        raise
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from error
 

@@ -210,6 +210,8 @@ def _open_bag(path: Path, compression: str, store: Typestore) -> Iterator[Sink]:
 
 @contextmanager
 def _open_folder(path: Path, compression: str, store: Typestore, storage: str) -> Iterator[Sink]:
+    import sqlite3
+
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
     writer = Writer(path, version=9, storage_plugin=StoragePlugin[storage])
@@ -222,8 +224,11 @@ def _open_folder(path: Path, compression: str, store: Typestore, storage: str) -
             connections[topic] = writer.add_connection(topic, msgtype, typestore=store)
         writer.write(connections[topic], log_ns, raw)
 
-    with writer:
-        yield sink
+    try:
+        with writer:
+            yield sink
+    except sqlite3.Error as error:  # a full disk, for example
+        raise OSError(f"SQLite: {error}") from error
 
 
 @contextmanager

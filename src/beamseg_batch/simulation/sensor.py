@@ -23,12 +23,12 @@ from beamseg_batch.schema import (
     Seconds,
     Share,
     Vector3,
-    message_of,
     nearest,
+    parse_setting,
     problems,
 )
 from beamseg_batch.simulation.casting import RayGrid
-from beamseg_batch.world.document import load_document, validate
+from beamseg_batch.world.document import load_document, requirement, validate
 
 __all__ = ["DEFAULT_SENSOR", "Camera", "PoseSource", "Sensor", "load_sensor", "sensor_names"]
 
@@ -196,31 +196,19 @@ def _find(name_or_path: str) -> Path:
 
 
 def _changed(sensor: Sensor, setting: str) -> Sensor:
-    key, equals, text = setting.partition("=")
-    if not equals:
-        raise ConfigError(f"{setting!r} is not a setting; write KEY=VALUE, as camera.noise=0.02")
+    key, value = parse_setting(setting, "camera.noise=0.02")
     tree = sensor.model_dump()
-    *above, name = key.strip().split(".")
+    *above, name = key.split(".")
     branch: Any = tree
     for part in above:
         branch = branch.get(part) if isinstance(branch, dict) else None
     if not isinstance(branch, dict) or name not in branch:
-        raise ConfigError(f"unknown setting {key.strip()!r}{nearest(key.strip(), _keys(tree))}")
-    branch[name] = _yaml_value(setting, text)
+        raise ConfigError(f"unknown setting {key!r}{nearest(key, _keys(tree))}")
+    branch[name] = value
     try:
         return Sensor.model_validate(tree)
     except ValidationError as error:
-        raise ConfigError(f"{setting}: {message_of(problems(error)[0])}") from None
-
-
-def _yaml_value(setting: str, text: str) -> Any:
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
-    try:
-        return YAML(typ="safe", pure=True).load(text)
-    except (YAMLError, ValueError, RecursionError) as error:
-        raise ConfigError(f"{setting!r}: the value is not valid YAML") from error
+        raise ConfigError(f"{setting}: {requirement(problems(error)[0])}") from None
 
 
 def _keys(tree: Mapping[str, Any], prefix: str = "") -> Iterator[str]:

@@ -20,7 +20,6 @@ __all__ = [
     "CLUTTER",
     "CYLINDER",
     "Solids",
-    "axis_nodes",
     "distances_to_solids",
     "solids_of",
 ]
@@ -29,9 +28,6 @@ BOX, CYLINDER, BALL = 0, 1, 2
 """Kinds of solids."""
 CLUTTER = -1
 """Owner of a solid that is no member's."""
-
-_CHORD_ERROR = 1e-5
-"""Most that the straight pieces of a bent member may lie off its axis, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +134,7 @@ def _pieces(member: Member, reach: float) -> Iterator[tuple[FloatArray, FloatArr
     Where two pieces meet at an angle, both are made longer so that no wedge opens on the
     outside of the bend, at `reach` from the axis.
     """
-    nodes = axis_nodes(member)
+    nodes = member.nodes
     steps = np.diff(nodes, axis=0)
     directions = [normalised(step) for step in steps]
     bends = [math.acos(min(float(a @ b), 1.0)) for a, b in pairwise(directions)]
@@ -149,18 +145,6 @@ def _pieces(member: Member, reach: float) -> Iterator[tuple[FloatArray, FloatArr
         rotation = np.column_stack([across, np.cross(direction, across), direction])
         centre = nodes[number] + step / 2.0 + direction * (after - before) / 2.0
         yield centre, rotation, (float(np.linalg.norm(step)) + before + after) / 2.0
-
-
-def axis_nodes(member: Member) -> FloatArray:
-    """Points of a member's axis, as many as its bow needs, (N, 3).
-
-    A chord of the parabola with sagitta `bow`, cut in n, has the sagitta ``bow / n**2``.
-    """
-    n_pieces = max(1, math.ceil(math.sqrt(abs(member.bow) / _CHORD_ERROR)))
-    share = np.linspace(0.0, 1.0, n_pieces + 1)[:, None]
-    bowed = 4.0 * member.bow * share * (1.0 - share) * member.rotation[:, 1]
-    nodes: FloatArray = member.start + share * (member.end - member.start) + bowed
-    return nodes
 
 
 def distances_to_solids(solids: Solids, points: FloatArray) -> FloatArray:

@@ -21,12 +21,11 @@ from beamseg_batch.schema import (
     NonNegative,
     Positive,
     Vector3,
-    message_of,
     nearest,
     problems,
 )
 from beamseg_batch.simulation.rotations import quaternions_from_rpy
-from beamseg_batch.world.document import Document, Key, load_document, validate
+from beamseg_batch.world.document import Document, Key, load_document, requirement, validate
 
 __all__ = [
     "FigureEight",
@@ -471,4 +470,4 @@ def _waypoint(where: str, header: Sequence[str], row: Sequence[str]) -> Waypoint
     except ValidationError as error:
         found = problems(error)[0]
         name = found["loc"][0]
-        raise WorldError(f"{where}: {name}: {message_of(found)}, not {texts[name]!r}") from None
+        raise WorldError(f"{where}: {name}: {requirement(found)}, not {texts[name]!r}") from None

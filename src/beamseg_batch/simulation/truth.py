@@ -12,12 +12,12 @@ import numpy as np
 
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import Trajectory
-from beamseg_batch.simulation.joints import Joint
 from beamseg_batch.simulation.output import TRUTH_FILES
 from beamseg_batch.simulation.seen import SeenPart, SeenRule
 from beamseg_batch.simulation.sensor import Sensor
 from beamseg_batch.simulation.trajectory import Flight
 from beamseg_batch.tables import TRUTH, TRUTH_JOINTS
+from beamseg_batch.world.joints import Joint
 from beamseg_batch.world.scene import Member, Scene
 
 __all__ = ["FlightTruth", "joints_csv", "truth_csv", "tum_lines"]

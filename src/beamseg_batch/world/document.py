@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 from beamseg_batch.errors import WorldError
 from beamseg_batch.schema import YamlError, message_of, nearest, problems, read_yaml, shortened
 
-__all__ = ["Document", "Key", "load_document", "validate"]
+__all__ = ["Document", "Key", "load_document", "requirement", "validate"]
 
 Key: TypeAlias = tuple[str | int, ...]
 """Place of a value in a document: names of keys and numbers of items, from the top down."""
@@ -173,7 +173,7 @@ def validate(model: type[Model], document: Document, key: Key = ()) -> Model:
             document._sentence(*_explained(problem, model, document, key))
             for problem in problems(error)
         ]
-        raise WorldError("\n".join(sentences)) from None
+        raise WorldError(*sentences) from None
 
 
 def _place(path: Path, line: int | None) -> str:
@@ -209,10 +209,10 @@ def _explained(
         suggestion = nearest(str(place[-1]), known) or f"; there are: {', '.join(known)}"
         return place, f"unknown key{suggestion}"
     said = kind in {"missing", "value_error"} or isinstance(value, Mapping)
-    return place, _requirement(problem) + ("" if said else f", not {shortened(value)}")
+    return place, requirement(problem) + ("" if said else f", not {shortened(value)}")
 
 
-def _requirement(problem: Mapping[str, Any]) -> str:
+def requirement(problem: Mapping[str, Any]) -> str:
     """Say what one of pydantic's problems asks for: ``must be above 0``."""
     words = _REQUIREMENTS.get(problem["type"])
     return words.format(**problem.get("ctx", {})) if words else message_of(problem)

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from beamseg_batch.geometry import FloatArray
+from beamseg_batch.world.joints import Joint, find_joints
 
 __all__ = ["Box", "Member", "Mesh", "Rectangle", "Scene", "Section", "Shape", "Sphere"]
 
 Shape = Literal["round", "square", "i", "l", "c"]
 """Cross-sections of a member: round bar or tube, square tube, I or H, angle, channel."""
+
+_CHORD_ERROR = 1e-5
+"""Most that the straight pieces of a bent member may lie off its axis, metres."""
 
 
 @dataclass(frozen=True)
@@ -97,12 +103,12 @@ class Member:
     roll: float = 0.0
     bow: float = 0.0
 
-    @property
+    @cached_property
     def length(self) -> float:
         """Length of the chord, metres."""
         return float(np.linalg.norm(self.end - self.start))
 
-    @property
+    @cached_property
     def rotation(self) -> FloatArray:
         """The section's u, v and the axis, as the columns of a rotation to the world.
 
@@ -119,6 +125,25 @@ class Member:
         v = np.cross(w, u)
         cos, sin = np.cos(self.roll), np.sin(self.roll)
         return np.column_stack([cos * u + sin * v, cos * v - sin * u, w])
+
+    @cached_property
+    def nodes(self) -> FloatArray:
+        """The axis as a chain of straight pieces, within 0.01 mm of it.
+
+        Returns
+        -------
+        (N, 3) float64, metres, world frame
+            From start to end; two nodes if the member is not bent.
+
+        Notes
+        -----
+        A chord of the parabola with sagitta `bow`, cut in n, has the sagitta ``bow / n**2``.
+        """
+        n_pieces = max(1, math.ceil(math.sqrt(abs(self.bow) / _CHORD_ERROR)))
+        share = np.linspace(0.0, 1.0, n_pieces + 1)[:, None]
+        bowed = 4.0 * self.bow * share * (1.0 - share) * self.rotation[:, 1]
+        nodes: FloatArray = self.start + share * (self.end - self.start) + bowed
+        return nodes
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,3 +211,9 @@ class Scene:
     rectangles: tuple[Rectangle, ...] = ()
     meshes: tuple[Mesh, ...] = ()
     notes: tuple[str, ...] = ()
+
+    @cached_property
+    def joints(self) -> tuple[Joint, ...]:
+        """Where the members meet."""
+        radii = np.array([member.section.radius for member in self.members], dtype=np.float64)
+        return find_joints([member.nodes for member in self.members], radii)
