@@ -302,18 +302,20 @@ def compiled():
                     found[name, key] = len(value.signatures)
     return found
 
-_warm_up()
+config = load_config(sys.argv[2])
+_warm_up(config)
 before = compiled()
-process_flight(open_recording(sys.argv[1]), load_config("report"))
+process_flight(open_recording(sys.argv[1]), config)
 assert compiled() == before, {k: v for k, v in compiled().items() if v != before.get(k)}
 assert sum(before.values()) >= 12
 """
 
 
-def test_warm_up__leaves_nothing_to_compile():
+@pytest.mark.parametrize("profile", ["report", "precise"])
+def test_warm_up__leaves_nothing_to_compile(profile):
     """Otherwise the time of the first scans would be that of the compiler."""
     done = subprocess.run(
-        [sys.executable, "-c", AFTER_WARM_UP, str(SAMPLE)],
+        [sys.executable, "-c", AFTER_WARM_UP, str(SAMPLE), profile],
         check=False,
         capture_output=True,
         text=True,

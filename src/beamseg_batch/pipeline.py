@@ -5,12 +5,13 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from typing import Protocol
 
 import numpy as np
 
 from beamseg_batch.config import RunConfig
-from beamseg_batch.detection import Detector, depth_noise
+from beamseg_batch.detection import DEFAULT_NOISE, Detector, depth_noise
 from beamseg_batch.errors import BeamsegError, NoScansError
 from beamseg_batch.geometry import RigidTransform
 from beamseg_batch.model import (
@@ -27,6 +28,7 @@ from beamseg_batch.structure import (
     EvidenceStructure,
     Structure,
     ThinnedCloud,
+    intersections_of,
 )
 
 __all__ = ["Progress", "process_flight"]
@@ -91,11 +93,12 @@ def process_flight(
     progress = progress or _NobodyWatches()
     flight = open_flight(recording, config)
     _warm_up(config)
-    noise = depth_noise(_usable(flight), config.sensor)
+    noise = _noise(flight, config)
     detect = Detector(config, noise)
     structure = _structure(config, noise)
     log = _FlightLog(config)
     passes = config.refinement.passes if isinstance(structure, EvidenceStructure) else 0
+    stopped = False
     progress.begin(flight.n_clouds * (1 + passes))
     try:
         for scan in flight.scans():
@@ -107,15 +110,15 @@ def process_flight(
                 structure.update(detections)
                 log.add(detections, (time.perf_counter() - start) * 1e6, len(structure))
             progress.step(len(structure))
-            if should_stop():
+            if stopped := should_stop():
                 log.stop(f"interrupted after {log.n_clouds} of {flight.n_clouds} clouds")
                 break
-        if isinstance(structure, EvidenceStructure):
-            _refine(structure, detect, flight, passes, log, progress, should_stop)
     except BeamsegError as error:
         if not log.scans:
             raise
         log.stop(str(error))
+    if isinstance(structure, EvidenceStructure) and not stopped:
+        _refine(structure, detect, flight, passes, log, progress, should_stop)
     log.check_used(flight)
     return log.result(flight, structure)
 
@@ -131,13 +134,12 @@ def _refine(
 ) -> None:
     """Ask all rays of the flight about the beams found so far, pass by pass."""
     for number in range(passes):
-        if log.interrupted:
-            return
         if number == SEARCH_BEFORE:
             _search_leftovers(structure, detect, flight)
         structure.refine(_watched(_usable(flight), progress, len(structure)), number)
         if should_stop():
             log.stop(f"interrupted after pass {number + 1} of {passes} over the rays")
+            return
 
 
 def _search_leftovers(structure: EvidenceStructure, detect: Detector, flight: Flight) -> None:
@@ -147,13 +149,24 @@ def _search_leftovers(structure: EvidenceStructure, detect: Detector, flight: Fl
 
 
 def _usable(flight: Flight) -> Iterator[Scan]:
-    return (scan for scan in flight.scans() if isinstance(scan, Scan))
+    """Scans up to where the recording ends or is damaged, which the first pass tells."""
+    with suppress(BeamsegError):
+        for scan in flight.scans():
+            if isinstance(scan, Scan):
+                yield scan
 
 
 def _watched(scans: Iterator[Scan], progress: Progress, n_segments: int) -> Iterator[Scan]:
     for scan in scans:
         yield scan
         progress.step(n_segments)
+
+
+def _noise(flight: Flight, config: RunConfig) -> DepthNoise:
+    """Noise of the depths, which is measured only where it is used."""
+    if config.detection.axis == "centroid" and config.structure.fusion != "evidence":
+        return DEFAULT_NOISE
+    return depth_noise(_usable(flight), config.sensor)
 
 
 def _structure(config: RunConfig, noise: DepthNoise) -> Structure | EvidenceStructure:
@@ -189,14 +202,15 @@ def _warm_up(like: RunConfig) -> None:
     config = RunConfig.model_validate(
         {"structure": {"fusion": like.structure.fusion}, "detection": {"axis": like.detection.axis}}
     )
-    detect, structure = Detector(config), _structure(config, DepthNoise(0.01))
+    detect, structure = Detector(config), _structure(config, DEFAULT_NOISE)
     for _ in range(3):
         detections = detect(scan)
         structure.update(detections)
     if isinstance(structure, EvidenceStructure):
         for number in range(2):
             structure.refine([scan], number)
-    structure.intersections()
+        list(structure.leftovers([scan]))
+    intersections_of(detections.segments, config.structure.intersections)
     ThinnedCloud(len(beams), 0.1).add(detections.cloud)
 
 

@@ -18,7 +18,7 @@ REPORT = load_config("report")
 
 
 def configured(**structure):
-    return RunConfig.model_validate({"structure": structure})
+    return RunConfig.model_validate({"structure": {"min_scans": 1, "min_length": 0.0, **structure}})
 
 
 def build(*scans, config=REPORT):

@@ -62,7 +62,7 @@ def measured_noise(scans: Iterable[Scan]) -> DepthNoise:
     """
     depths, residuals, count = [], [], 0
     for scan in scans:
-        if scan.height < 3 or scan.width < 3:
+        if scan.height < 3 or scan.width < 3 or len(scan.points) != scan.width * scan.height:
             continue
         x = np.asarray(scan.points[:, 0], np.float64).reshape(scan.height, scan.width)
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -2,6 +2,7 @@
 
 from beamseg_batch.structure.cloud import ThinnedCloud
 from beamseg_batch.structure.evidence import SEARCH_BEFORE, EvidenceStructure
+from beamseg_batch.structure.intersections import intersections_of
 from beamseg_batch.structure.structure import Structure
 
-__all__ = ["SEARCH_BEFORE", "EvidenceStructure", "Structure", "ThinnedCloud"]
+__all__ = ["SEARCH_BEFORE", "EvidenceStructure", "Structure", "ThinnedCloud", "intersections_of"]

@@ -223,7 +223,7 @@ class _PixelRays:
         self._image = np.zeros(4)
 
     def learn(self, scan: Scan) -> None:
-        if scan.height < 2 or scan.width < 2:
+        if scan.height < 2 or scan.width < 2 or len(scan.points) != scan.width * scan.height:
             return
         if self._sum is None:
             self._sum, self._width = np.zeros((len(scan.points), 3)), scan.width
