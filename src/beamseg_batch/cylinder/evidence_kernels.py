@@ -30,6 +30,8 @@ _GATE = 4.0  # a residual of so many sigmas is still explained
 _THROUGH = -4.0  # log-likelihood ratio of a ray that saw through
 _EDGE = 0.8  # share of the radius beyond which a ray that passes proves nothing
 _MIN_INCIDENCE = 0.2
+_FLANK = 1.35  # radii from the axis at which a beam's surroundings begin
+_FLANK_FROM, _FLANK_TO = 0.01, 0.06  # and where they are looked at, metres further
 _CONTESTED = 2.0  # sigmas by which a ray must fit one beam better than any other
 
 
@@ -108,6 +110,7 @@ def gather(
     hits: FloatArray,
     normal: FloatArray,
     scans: NDArray[np.int64],
+    flanks: FloatArray,
     tukey: float,
     background: float,
     head: NDArray[np.int64],
@@ -153,6 +156,9 @@ def gather(
         Sums by coarse bin, added to.
     scans : (M,) int64
         Added to where at least three rays are explained by the beam alone.
+    flanks : (M, 2, 2) float64
+        Added to: rays that pass a beam closely on its left and right, and found something
+        at its depth, or nothing. Not asked for where it is empty.
     tukey : float
         Reach of Tukey's weight, in sigmas.
     background : float
@@ -169,6 +175,7 @@ def gather(
     for axis in range(3):
         reach += max(low[axis] * low[axis], high[axis] * high[axis])
     reach = np.sqrt(reach)
+    ask_flanks = len(flanks) == num_beams
     along, side, residual = meetings[0], meetings[1], meetings[2]
     entries, sigmas, nearest = meetings[3], meetings[4], meetings[5]
     # Rays that may meet a beam, chained by pixel: most pixels meet none.
@@ -185,10 +192,12 @@ def gather(
             gone += (a[axis] + closest * b[axis]) ** 2
         if gone > (reach + radius) ** 2:
             continue
+        inner = _FLANK * radius + _FLANK_FROM
+        outer = _FLANK * radius + _FLANK_TO if ask_flanks else radius
         row_first, row_last, column_first, column_last = 0, 1, 0, num_rays
         if width > 0:
             row_first, row_last, column_first, column_last = _pixels(
-                a, b, begin, end, radius, width, num_rays // width, image
+                a, b, begin, end, outer, width, num_rays // width, image
             )
         mx, my, mz = b[1] * a[2] - b[2] * a[1], b[2] * a[0] - b[0] * a[2], b[0] * a[1] - b[1] * a[0]
         for pixel in range((row_last - row_first) * (column_last - column_first)):
@@ -204,7 +213,33 @@ def gather(
                 wx, wy, wz, depth = rays[k, 0], rays[k, 1], rays[k, 2], np.inf
             mixed = wx * mx + wy * my + wz * mz
             wb = wx * b[0] + wy * b[1] + wz * b[2]
-            if mixed * mixed > radius * radius * (1.0 - wb * wb):
+            across = 1.0 - wb * wb
+            if mixed * mixed > outer * outer * across:
+                continue
+            if mixed * mixed > radius * radius * across:
+                middle = (wx * a[0] + wy * a[1] + wz * a[2] - wb * ab) / across
+                s = middle * wb - ab
+                x, y, z = middle * wx, middle * wy, middle * wz
+                if (
+                    mixed * mixed > inner * inner * across
+                    and middle > 0.0
+                    and firsts[j] <= s <= lasts[j]
+                    and low[0] <= x <= high[0]
+                    and low[1] <= y <= high[1]
+                    and low[2] <= z <= high[2]
+                    and up[0] * x + up[1] * y + up[2] * z + height >= floor
+                    and used < len(who)
+                ):
+                    sigma = np.sqrt(noise * noise + (noise_relative * x) ** 2) / wx
+                    who[used], along[used], side[used] = j, s, 2.0 if mixed > 0.0 else -2.0
+                    entries[used], sigmas[used], nearest[used] = middle, sigma, np.inf
+                    residual[used] = (depth - middle) / sigma
+                    if head[k] < 0:
+                        pixels[touched] = k
+                        touched += 1
+                    chain[used] = head[k]
+                    head[k] = used
+                    used += 1
                 continue
             entry, leave, s, lateral = enter_cylinder(
                 wx, wy, wz, a[0], a[1], a[2], b[0], b[1], b[2], radius
@@ -244,6 +279,11 @@ def gather(
                     before = min(before, near)
                     best = min(best, abs(depth - near) / sigmas[this])
                 other = chain[other]
+            if abs(side[this]) > 1.0:
+                reaches = 2.0 * radii[j] / sigmas[this] + _GATE
+                if best > _GATE and e >= -reaches:
+                    flanks[j, int(side[this] > 0.0), int(e > reaches)] += 1.0
+                continue
             hidden = entry >= before
             if e < -_GATE or (hidden and e > _GATE):
                 continue

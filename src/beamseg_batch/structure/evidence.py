@@ -38,23 +38,29 @@ class _Pass:
         ``none``, ``likelier`` (than the beam itself) or ``all``.
     tukey : float
         Reach of Tukey's weight in the fit, sigmas.
+    rules : PassRules
+    flanks : bool
+        Whether rays that pass the beams closely are asked, too.
     """
 
     competitors: str
     tukey: float
     rules: PassRules
+    flanks: bool = False
 
 
 _FIRST_PASSES = (
     _Pass("none", 5.0, PassRules(split=True, drop=False, several=False)),
     _Pass("likelier", 5.0, PassRules(split=False, drop=True, several=False)),
-    _Pass("all", 5.0, PassRules(split=True, drop=True, several=False)),
+    _Pass("all", 5.0, PassRules(split=True, drop=True, several=False), flanks=True),
     _Pass("likelier", 5.0, PassRules(split=True, drop=True, several=False)),
 )
 SEARCH_BEFORE = 3
 """The pass before which leftovers are searched: the beams explain what they can by then."""
 
-_LATER_PASS = _Pass("all", 4.0, PassRules(split=True, drop=True, several=True, snap=True))
+_LATER_PASS = _Pass(
+    "all", 4.0, PassRules(split=True, drop=True, several=True, snap=True), flanks=True
+)
 
 
 class EvidenceStructure:
@@ -270,7 +276,7 @@ class _Question:
     def __init__(
         self, beams: Sequence[Beam], kind: _Pass, config: RunConfig, noise: DepthNoise
     ) -> None:
-        self.sums = Sums(beams)
+        self.sums = Sums(beams, flanks=kind.flanks)
         self.noise = noise
         self._scratch: tuple[Any, ...] | None = None
         window = config.filtering.window
@@ -311,7 +317,7 @@ class _Question:
             self.radii, self.firsts, self.lasts, self.ranks, self.limits,
             self.sums.starts, self.sums.fine_at, self.sums.coarse_at,
             self.sums.likelihood, self.sums.hits, self.sums.normal, self.sums.scans,
-            self.tukey, self.background, *scratch,
+            self.sums.flanks, self.tukey, self.background, *scratch,
         )  # fmt: skip
 
     def unexplained(self, scan: Scan, reach: float) -> FloatArray:

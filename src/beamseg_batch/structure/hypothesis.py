@@ -40,6 +40,9 @@ class Beam:
     covariance : (4, 4) float64
         Of the axis: offsets along `normals` at the anchor, metres, and slopes.
     reduced_chi2 : float
+    flanks : (2, 2) float64
+        Rays that pass closely on its left and right and found something at its depth, or
+        nothing.
     profile : (N,) float64
         Log-likelihood ratios along the axis, by fine bin, from `profile_start` on, metres.
     profile_start : float
@@ -57,6 +60,7 @@ class Beam:
     last_seen_ns: int = 0
     covariance: FloatArray = field(default_factory=lambda: np.zeros((4, 4)))
     reduced_chi2: float = 1.0
+    flanks: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
     profile: FloatArray = field(default_factory=lambda: np.zeros(0))
     profile_start: float = 0.0
 
@@ -103,9 +107,11 @@ class Sums:
     Parameters
     ----------
     beams : sequence of Beam
+    flanks : bool
+        Whether rays that pass the beams closely are asked, too.
     """
 
-    def __init__(self, beams: Sequence[Beam]) -> None:
+    def __init__(self, beams: Sequence[Beam], *, flanks: bool = False) -> None:
         self.starts = np.array([beam.first - _MARGIN_BINS * COARSE for beam in beams])
         lengths = np.array([beam.length for beam in beams])
         bins = np.ceil(lengths / COARSE).astype(np.int64) + 2 * _MARGIN_BINS
@@ -115,6 +121,7 @@ class Sums:
         self.hits = np.zeros(self.fine_at[-1])
         self.normal = np.zeros((self.coarse_at[-1], NORMAL_COLUMNS))
         self.scans = np.zeros(len(beams), np.int64)
+        self.flanks = np.zeros((len(beams) if flanks else 0, 2, 2))
 
     def fine(self, index: int) -> tuple[FloatArray, FloatArray]:
         """Log-likelihood ratios and hits of one beam, by fine bin."""

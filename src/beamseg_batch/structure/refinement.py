@@ -22,6 +22,8 @@ LEAST_SHARE = 0.15  # of the score that all hits would give
 BEST_A_HIT = 4.3
 LEAST_LENGTH = 0.18
 TRIM_A_HIT = 0.1
+MOST_ATTACHED = 0.45
+FEWEST_BESIDE = 20.0
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,18 @@ def is_likely(beam: Beam) -> bool:
     return (
         beam.score >= max(LEAST_SCORE, LEAST_SHARE * BEST_A_HIT * beam.hits)
         and beam.length >= LEAST_LENGTH
+        and stands_free(beam)
     )
+
+
+def stands_free(beam: Beam) -> bool:
+    """Whether there is mostly nothing beside a beam, on either side.
+
+    Part of a wall fits a cylinder as well as the noise allows, but goes on beside it.
+    """
+    occupied, free = beam.flanks[:, 0], beam.flanks[:, 1]
+    known = occupied + free >= FEWEST_BESIDE
+    return bool(np.all(~known | (occupied <= MOST_ATTACHED * (occupied + free))))
 
 
 def _renewed(beam: Beam, index: int, sums: Sums, noise: float, rules: PassRules) -> list[Beam]:
@@ -78,6 +91,7 @@ def _renewed(beam: Beam, index: int, sums: Sums, noise: float, rules: PassRules)
             score=float(likelihood[begin:end].sum()),
             hits=float(hits[begin:end].sum()),
             scans=int(sums.scans[index]),
+            flanks=sums.flanks[index] if len(sums.flanks) else beam.flanks,
             profile=likelihood,
             profile_start=float(sums.starts[index]),
         )
