@@ -234,8 +234,9 @@ class StructureConfig(Node):
 class RefinementConfig(Node):
     """Further passes over the recording, with structure.fusion: evidence."""
 
-    passes: Annotated[int, Field(ge=0, le=100)] = 8
-    """How often the recording is read again to ask all rays about the beams found so far."""
+    passes: Annotated[int, Field(ge=0, le=100)] = 12
+    """How often, at most, the recording is read again to ask all rays about the beams found so
+    far; it ends when nothing moves."""
 
 
 class OutputConfig(Node):

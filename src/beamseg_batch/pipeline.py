@@ -24,7 +24,6 @@ from beamseg_batch.model import (
 )
 from beamseg_batch.recording import Flight, Recording, open_flight
 from beamseg_batch.structure import (
-    SEARCH_BEFORE,
     EvidenceStructure,
     Structure,
     ThinnedCloud,
@@ -134,9 +133,11 @@ def _refine(
 ) -> None:
     """Ask all rays of the flight about the beams found so far, pass by pass."""
     for number in range(passes):
-        if number == SEARCH_BEFORE:
+        if structure.wants_leftovers:
             _search_leftovers(structure, detect, flight)
-        structure.refine(_watched(_usable(flight), progress, len(structure)), number)
+        moved = structure.refine(_watched(_usable(flight), progress, len(structure)))
+        if not moved:
+            return
         if should_stop():
             log.stop(f"interrupted after pass {number + 1} of {passes} over the rays")
             return
@@ -144,8 +145,11 @@ def _refine(
 
 def _search_leftovers(structure: EvidenceStructure, detect: Detector, flight: Flight) -> None:
     """Look for beams that no scan alone shows, among what the others leave unexplained."""
-    for left in list(structure.leftovers(_usable(flight))):
-        structure.propose(detect.in_cloud(left.points), left.seen_from, left.stamp_ns)
+    structure.propose(
+        (segment, left)
+        for left in structure.leftovers(_usable(flight))
+        for segment in detect.in_cloud(left.points)
+    )
 
 
 def _usable(flight: Flight) -> Iterator[Scan]:
@@ -207,8 +211,8 @@ def _warm_up(like: RunConfig) -> None:
         detections = detect(scan)
         structure.update(detections)
     if isinstance(structure, EvidenceStructure):
-        for number in range(2):
-            structure.refine([scan], number)
+        for _ in range(2):
+            structure.refine([scan])
         list(structure.leftovers([scan]))
     intersections_of(detections.segments, config.structure.intersections)
     ThinnedCloud(len(beams), 0.1).add(detections.cloud)

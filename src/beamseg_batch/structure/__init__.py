@@ -1,8 +1,8 @@
 """Segments -> structure: fused as they come, or as hypotheses that all rays are asked about."""
 
 from beamseg_batch.structure.cloud import ThinnedCloud
-from beamseg_batch.structure.evidence import SEARCH_BEFORE, EvidenceStructure
+from beamseg_batch.structure.evidence import EvidenceStructure
 from beamseg_batch.structure.intersections import intersections_of
 from beamseg_batch.structure.structure import Structure
 
-__all__ = ["SEARCH_BEFORE", "EvidenceStructure", "Structure", "ThinnedCloud", "intersections_of"]
+__all__ = ["EvidenceStructure", "Structure", "ThinnedCloud", "intersections_of"]

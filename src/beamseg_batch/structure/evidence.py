@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,11 +19,12 @@ from beamseg_batch.structure.hypothesis import Beam, Sums
 from beamseg_batch.structure.intersections import intersections_of
 from beamseg_batch.structure.refinement import PassRules, refined
 
-__all__ = ["SEARCH_BEFORE", "EvidenceStructure", "Leftovers"]
+__all__ = ["EvidenceStructure", "Leftovers"]
 
 _TYPICAL_DEPTH_M = 1.0
 _EXPLAINED_SIGMAS = 3.5
 _POOLED_SCANS = 25
+_SETTLED_M = 0.001
 _BEHIND = 0.8  # radii from the visible surface to the axis, on average
 _RANGE_M = 3.0  # where a return that no beam explains may lie, for its likelihood
 
@@ -49,18 +50,17 @@ class _Pass:
     flanks: bool = False
 
 
-_FIRST_PASSES = (
+_FRESH = (
     _Pass("none", 5.0, PassRules(split=True, drop=False, several=False)),
     _Pass("likelier", 5.0, PassRules(split=False, drop=True, several=False)),
     _Pass("all", 5.0, PassRules(split=True, drop=True, several=False), flanks=True),
-    _Pass("likelier", 5.0, PassRules(split=True, drop=True, several=False)),
 )
-SEARCH_BEFORE = 3
-"""The pass before which leftovers are searched: the beams explain what they can by then."""
+"""Passes after new beams came: refit all, drop doubles, then let all compete."""
 
-_LATER_PASS = _Pass(
+_SETTLING = _Pass(
     "all", 4.0, PassRules(split=True, drop=True, several=True, snap=True), flanks=True
 )
+"""The pass that is repeated until nothing moves."""
 
 
 class EvidenceStructure:
@@ -79,6 +79,8 @@ class EvidenceStructure:
         self._candidates = Candidates(self._sigma)
         self._pixels = _PixelRays()
         self._beams: list[Beam] | None = None
+        self._waiting = list(_FRESH)
+        self._searched = False
 
     def __len__(self) -> int:
         return len(self._candidates) if self._beams is None else len(self._beams)
@@ -95,22 +97,31 @@ class EvidenceStructure:
         for segment in detections.segments:
             self._candidates.add(segment)
 
-    def refine(self, scans: Iterable[Scan], number: int) -> None:
+    @property
+    def wants_leftovers(self) -> bool:
+        """Whether the beams explain what they can, so that it is time to search the rest."""
+        return not self._searched and not self._waiting
+
+    def refine(self, scans: Iterable[Scan]) -> bool:
         """Ask all rays of the flight about the present beams, and renew these.
 
         Parameters
         ----------
         scans : iterable of Scan
             All of the flight.
-        number : int
-            Of the pass, from 0.
+
+        Returns
+        -------
+        bool
+            Whether another pass would change anything.
         """
         beams = self._hypothesis()
-        kind = _FIRST_PASSES[number] if number < len(_FIRST_PASSES) else _LATER_PASS
+        kind = self._waiting.pop(0) if self._waiting else _SETTLING
         question = _Question(beams, kind, self.config, self.noise)
         for scan in scans:
             question.ask(scan, self._pixels)
         self._beams = refined(beams, question.sums, self._sigma, kind.rules)
+        return bool(self._waiting) or not self._searched or _have_moved(beams, self._beams)
 
     def leftovers(self, scans: Iterable[Scan]) -> Iterator[Leftovers]:
         """Pool the returns that no beam explains, of some scans at a time.
@@ -124,7 +135,7 @@ class EvidenceStructure:
         ------
         Leftovers
         """
-        question = _Question(self._hypothesis(), _LATER_PASS, self.config, self.noise)
+        question = _Question(self._hypothesis(), _SETTLING, self.config, self.noise)
         points: list[FloatArray] = []
         origins: list[FloatArray] = []
         for scan in scans:
@@ -136,35 +147,26 @@ class EvidenceStructure:
         if points:
             yield Leftovers(np.concatenate(points), np.mean(origins, axis=0), scan.stamp_ns)
 
-    def propose(self, segments: Iterable[Segment], seen_from: FloatArray, stamp_ns: int) -> None:
-        """Add beams to the hypothesis.
+    def propose(self, found: Iterable[tuple[Segment, Leftovers]]) -> None:
+        """Add beams to the hypothesis; those of one axis become one.
 
         Parameters
         ----------
-        segments : iterable of Segment
-            World frame, on the surface.
-        seen_from : (3,) float64, metres
-            Where the camera was: the axes lie behind the surface.
-        stamp_ns : int
+        found : iterable of (Segment, Leftovers)
+            On the surface, world frame, and what it was found in.
         """
-        beams = list(self._hypothesis())
-        for segment in segments:
-            away = segment.midpoint - seen_from
+        self._searched = True
+        candidates = Candidates(self._sigma)
+        for segment, left in found:
+            away = segment.midpoint - left.seen_from
             away -= (away @ segment.direction) * segment.direction
             away /= max(float(np.linalg.norm(away)), 1e-9)
             anchor = segment.anchor + _BEHIND * segment.radius * away
-            beams.append(
-                Beam(
-                    anchor,
-                    segment.direction,
-                    segment.t_min,
-                    segment.t_max,
-                    segment.radius,
-                    first_seen_ns=stamp_ns,
-                    last_seen_ns=stamp_ns,
-                )
-            )
-        self._beams = beams
+            stamp = left.stamp_ns
+            candidates.add(replace(segment, anchor=anchor, first_seen_ns=stamp, last_seen_ns=stamp))
+        if len(candidates):
+            self._beams = [*self._hypothesis(), *candidates.beams(1)]
+            self._waiting = list(_FRESH)
 
     def _hypothesis(self) -> list[Beam]:
         if self._beams is None:
@@ -340,6 +342,17 @@ class _Question:
                 np.empty(most, np.int64), np.empty(most, np.int64), np.empty((6, most)),
             )  # fmt: skip
         return self._scratch
+
+
+def _have_moved(before: Sequence[Beam], after: Sequence[Beam]) -> bool:
+    """Whether beams came, went, or have an end that moved."""
+    if len(before) != len(after):
+        return True
+    ends = np.array([np.concatenate(beam.ends) for beam in before])
+    # Their order may change, so each is held against all.
+    return any(
+        np.abs(ends - np.concatenate(beam.ends)).max(axis=1).min() > _SETTLED_M for beam in after
+    )
 
 
 def _stacked(vectors: Sequence[FloatArray]) -> FloatArray:
