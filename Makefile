@@ -9,7 +9,7 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check --no-input
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test lint regress golden bench samples clean venv
+.PHONY: help demo test fuzz lint regress golden bench samples clean venv
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -19,6 +19,9 @@ demo: $(VENV)/.installed  ## Process the sample flight into demo-output/
 
 test: $(VENV)/.installed-dev  ## Run the tests
 	@$(BIN)/python -m pytest
+
+fuzz: $(VENV)/.installed-dev  ## Put damaged recordings through the commands: make fuzz [SEED=1 INFO=2000 RUN=200]
+	@$(BIN)/python -m tests.fuzz --seed $(or $(SEED),1) --info $(or $(INFO),2000) --run $(or $(RUN),200)
 
 lint: $(VENV)/.installed-dev  ## Check style, types and layers
 	@$(BIN)/ruff check

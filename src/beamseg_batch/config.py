@@ -65,12 +65,30 @@ class RecordingConfig(Node):
     """Topic of the clouds; null takes /tof_pc, else the only candidate."""
     pose_topic: str | None = None
     """Topic of the drone poses; null takes /mavros/local_position/pose, else the only candidate."""
+    pose_file: str | None = None
+    """File of poses beside the recording, .tum or .csv, that takes the pose topic's place."""
     world_frame: str | None = None
-    """Name of the fixed frame; null takes the pose's header frame or the tf tree's root."""
+    """Name of the fixed frame; null takes the pose's header frame, or in tf the frame above the
+    topmost moving transform."""
     body_frame: str | None = None
-    """Name of the drone's frame; null takes the pose's child frame or the sensor's root in tf."""
+    """Name of the drone's frame; null takes the pose's child frame, or in tf the frame below the
+    last moving transform on the way to the sensor."""
+    time_source: Literal["header", "log"] = "header"
+    """header: stamps of the messages' headers; log: when the recorder received them."""
     time_offset_s: Seconds = 0.0
     """Seconds added to the stamps of the clouds before matching."""
+    start_s: NonNegative = 0.0
+    """Clouds logged earlier are left out, seconds from the start of the recording."""
+    duration_s: Positive | None = None
+    """Clouds logged this long after the start, or later, are left out, seconds; null: none."""
+    every: Annotated[int, Field(ge=1, le=2**31)] = 1
+    """Of the clouds that remain, only every so manieth is used, from the first on."""
+    max_scans: Annotated[int, Field(ge=1, le=2**31)] | None = None
+    """Most clouds used; null: all."""
+    strict: bool = False
+    """Whether damage of the recording is an error; else what is whole is used."""
+    max_chunk_mb: Annotated[int, Field(ge=1, le=2**20)] = 1024
+    """Largest chunk of a bag or MCAP file that is decompressed, MB."""
 
 
 class MatchingConfig(Node):
@@ -102,6 +120,13 @@ class SensorConfig(Node):
     """Standard deviation of the depth, metres; null measures it in the flight."""
     noise_relative: NonNegative | None = None
     """What is added to it in proportion to the depth; null measures it, or is 0 beside noise_m."""
+    axes: Literal["auto", "x_forward", "z_forward"] = "auto"
+    """Which axis of the clouds looks ahead: x as on bodies, z as in optical frames, whose points
+    are turned to x forward; auto: as the data, the frame's name or the transform tree says."""
+    min_confidence: Finite | None = None
+    """Points with less in their confidence field are taken as no return; null: all are used."""
+    confidence_fields: Annotated[tuple[str, ...], Field(min_length=1)] = ("confidence", "intensity")
+    """Names of that field; the first one that a cloud has counts."""
 
 
 class WindowConfig(Node):

@@ -14,6 +14,7 @@ __all__ = [
     "DuplicateRecordingError",
     "NoScansError",
     "OutputError",
+    "PoseFileError",
     "RecordingError",
     "RecordingNotFoundError",
     "RunError",
@@ -67,6 +68,12 @@ class TopicError(RecordingError):
 
 class AmbiguousTopicError(TopicError):
     """Several topics would fit and none was named."""
+
+    exit_code = 2
+
+
+class PoseFileError(RecordingError):
+    """A file of poses beside a recording cannot be read."""
 
     exit_code = 2
 

@@ -314,6 +314,10 @@ class RecordingInfo:
         ``configuration``, ``tf_static`` or ``identity``.
     notes : tuple of str
         Choices worth telling, such as a topic taken because it was the only one.
+    damage : tuple of str
+        Every damaged place, with its file and what was lost.
+    damage_notes : tuple of str
+        The same summed up, one sentence per damaged file.
     """
 
     paths: tuple[Path, ...]
@@ -330,6 +334,13 @@ class RecordingInfo:
     T_body_sensor: RigidTransform
     extrinsic_source: str
     notes: tuple[str, ...] = ()
+    damage: tuple[str, ...] = ()
+    damage_notes: tuple[str, ...] = ()
+
+    @property
+    def recovered(self) -> bool:
+        """Whether only a part of the recording could be read."""
+        return bool(self.damage)
 
     @property
     def duration_s(self) -> float:

@@ -303,7 +303,7 @@ class _FlightLog:
             recording=flight.info,
             config=self.config,
             wall_s=time.perf_counter() - self.start,
-            warnings=(*self._skip_warnings(), *self.warnings),
+            warnings=(*flight.info.damage_notes, *self._skip_warnings(), *self.warnings),
             interrupted=self.interrupted,
         )
 

@@ -8,7 +8,7 @@ import pytest
 from beamseg_batch.errors import RecordingError
 from beamseg_batch.geometry import RigidTransform, matrix_from_rpy
 from beamseg_batch.recording.frames import TransformTree
-from tests.recording.conftest import MS, UNPLACED_CAMERA, configured, some_poses
+from tests.recording.conftest import MS, UNPLACED_CAMERA, configured
 from tests.recordings import START_NS, Message, pose_message
 
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
@@ -165,22 +165,3 @@ def test_open_flight__tf_undecidable(fly):
         match=r"cloud's frame is 'tof'.*no moving transform.*set recording\.body_frame.*'rover'",
     ):
         fly(pose_type=TF, pose_topic="/tf", more=[moving("map", "rover")])
-
-
-def test_open_flight__tf_chain_of_moving_transforms(fly):
-    content = {
-        "pose_type": TF,
-        "pose_topic": "/tf",
-        "world_frame": "odom",
-        "cloud_frame": "base_link",
-        "more": [moving("map", "odom")],
-    }
-    with pytest.raises(RecordingError, match=r"chain of moving transforms.*followed yet"):
-        fly(**content)
-    config = configured(recording={"world_frame": "map", "body_frame": "base_link"})
-    with pytest.raises(RecordingError, match="no transform from 'map' to 'base_link'"):
-        fly(config, **content)
-    flight = fly(configured(recording={"world_frame": "odom"}), **content)
-    np.testing.assert_array_equal(
-        flight.trajectory.positions, [position for _, position, _ in some_poses()]
-    )

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from beamseg_batch.model import Scan
+from beamseg_batch.recording import cloud_reader, open_recording, poses
 from beamseg_batch.recording import flight as flight_module
-from beamseg_batch.recording import open_recording, poses
 from beamseg_batch.recording.templates import PoseTemplate, pose_values_at
 from tests.recording.conftest import some_poses
 from tests.recordings import START_NS, Message, pose_message, write_recording
@@ -26,7 +26,7 @@ NAMES = ["", "m", "map", "mapp", "map_of", "a_rather_long_name"]
 def decoding(monkeypatch):
     """Decode every message, as if there were no templates."""
     monkeypatch.setattr(poses, "pose_values_at", lambda *_: None)
-    monkeypatch.setattr(flight_module, "cloud_template", lambda *_: None)
+    monkeypatch.setattr(cloud_reader, "cloud_template", lambda *_: None)
 
 
 @pytest.fixture

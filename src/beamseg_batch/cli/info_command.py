@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +13,8 @@ from beamseg_batch.cli.console import begin_work, say
 from beamseg_batch.cli.options import ConfigOptions, config_options, recording_argument
 
 if TYPE_CHECKING:
+    from beamseg_batch.config import RunConfig
+    from beamseg_batch.recording import Recording
     from beamseg_batch.recording.inspection import (
         CloudLayout,
         MatchSummary,
@@ -20,15 +22,31 @@ if TYPE_CHECKING:
         StampSummary,
         TopicChoiceSummary,
     )
+    from beamseg_batch.recording.time_offset import TimeOffset
 
 __all__ = ["command"]
+
+_MOST_PLACES = 10
 
 
 @click.command("info")
 @recording_argument
 @config_options
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for machines.")
-def command(recording: tuple[Path, ...], options: ConfigOptions, as_json: bool) -> None:
+@click.option("--suggest", is_flag=True, help="Print a configuration that fits the recording.")
+@click.option(
+    "--estimate-time-offset",
+    "estimate",
+    is_flag=True,
+    help="Measure how far the clock of the clouds is from that of the poses.",
+)
+def command(
+    recording: tuple[Path, ...],
+    options: ConfigOptions,
+    as_json: bool,
+    suggest: bool,
+    estimate: bool,
+) -> None:
     """Show what a recording holds and how it would be used.
 
     Lists topics with types, counts and rates, the topics and frames that a run with the
@@ -39,16 +57,53 @@ def command(recording: tuple[Path, ...], options: ConfigOptions, as_json: bool) 
     Examples:
       beamseg info flight.mcap
       beamseg info flight.bag --json | jq .match
+      beamseg info flight.bag --suggest > site.yaml
+      beamseg info flight.bag --estimate-time-offset
     """  # noqa: D301 (click reads the backspace)
+    from dataclasses import asdict
+
     from beamseg_batch.recording import inspect_recording, open_recording
 
     config = options.load()
     begin_work()
-    summary = inspect_recording(open_recording(list(recording)), config)
+    opened = open_recording(list(recording), config.recording)
+    offset = _measured_offset(opened, config) if estimate else None
+    if suggest:
+        if as_json:
+            raise click.UsageError("--suggest prints YAML; leave out --json")
+        say(_suggestion(opened, config, offset).rstrip())
+        return
+    summary = inspect_recording(opened, config)
     if as_json:
-        say(json.dumps(summary.to_json(), indent=2))
+        measured = {} if offset is None else {"time_offset": asdict(offset)}
+        say(json.dumps({**summary.to_json(), **measured}, indent=2))
     else:
-        say("\n".join(_lines(summary)))
+        say("\n".join([*_lines(summary), *_offset_lines(offset)]))
+
+
+def _measured_offset(recording: Recording, config: RunConfig) -> TimeOffset:
+    from beamseg_batch.recording import open_flight
+    from beamseg_batch.recording.time_offset import estimate_time_offset
+
+    return estimate_time_offset(open_flight(recording, config))
+
+
+def _suggestion(recording: Recording, config: RunConfig, offset: TimeOffset | None) -> str:
+    from beamseg_batch.recording.suggestion import suggest_config
+
+    if offset is not None:
+        measured = {"time_offset_s": round(offset.offset_s, 4)}
+        branch = config.recording.model_copy(update=measured)
+        config = config.model_copy(update={"recording": branch})
+    return suggest_config(recording, config)
+
+
+def _offset_lines(offset: TimeOffset | None) -> Iterator[str]:
+    if offset is not None:
+        yield (
+            f"time offset   {offset.offset_s:.4f} s, give or take {offset.sigma_s:.4f} s, from "
+            f"{offset.n_scans} scans: run with --time-offset {offset.offset_s:.4f}"
+        )
 
 
 def _lines(summary: RecordingSummary) -> Iterator[str]:
@@ -87,8 +142,17 @@ def _lines(summary: RecordingSummary) -> Iterator[str]:
         )
     for text in summary.notes:
         yield f"note          {text}"
+    yield from _damage(summary.damage)
     for text in summary.problems:
         yield f"problem       {text}"
+
+
+def _damage(places: Sequence[str]) -> Iterator[str]:
+    """List the first damaged places: a file may have thousands."""
+    for text in places[:_MOST_PLACES]:
+        yield f"damage        {text}"
+    if len(places) > _MOST_PLACES:
+        yield f"              and {len(places) - _MOST_PLACES} further places"
 
 
 def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> Iterator[str]:

@@ -54,11 +54,43 @@ _CONFIG_OPTIONS = (
     click.option("--cloud-topic", metavar="TOPIC", help="Topic of the point clouds."),
     click.option("--pose-topic", metavar="TOPIC", help="Topic of the drone's poses."),
     click.option(
+        "--poses",
+        "pose_file",
+        metavar="FILE",
+        help="Take the poses from this .tum or .csv file beside the recording.",
+    ),
+    click.option("--world-frame", metavar="FRAME", help="The fixed frame in the transform tree."),
+    click.option("--body-frame", metavar="FRAME", help="The drone's frame in the transform tree."),
+    click.option(
+        "--time-source",
+        metavar="header|log",
+        help="Stamps to match by: of the message headers (default), or of the recorder.",
+    ),
+    click.option("--time-offset", metavar="S", help="Seconds to add to the stamps of the clouds."),
+    click.option("--start", metavar="S", help="Leave out the first S seconds of the recording."),
+    click.option("--duration", metavar="S", help="Use only S seconds from there on."),
+    click.option("--every", metavar="N", help="Use every N-th cloud only."),
+    click.option("--max-scans", metavar="N", help="Use at most N clouds."),
+    click.option("--strict", is_flag=True, help="Refuse a damaged recording."),
+    click.option(
         "--extrinsic",
         metavar="X,Y,Z[,R,P,Y]",
         help="Where the camera sits on the drone: metres, then roll, pitch, yaw in degrees.",
     ),
 )
+
+_RECORDING_TEXTS = (
+    "cloud_topic", "pose_topic", "pose_file", "world_frame", "body_frame", "time_source",
+)  # fmt: skip
+"""Options that are keys of the configuration's `recording` branch, and hold text."""
+_RECORDING_NUMBERS = {
+    "time_offset": "time_offset_s",
+    "start": "start_s",
+    "duration": "duration_s",
+    "every": "every",
+    "max_scans": "max_scans",
+}
+"""Options that hold a number, with their keys."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +102,16 @@ class ConfigOptions:
     settings: tuple[str, ...]
     cloud_topic: str | None
     pose_topic: str | None
+    pose_file: str | None
+    world_frame: str | None
+    body_frame: str | None
+    time_source: str | None
+    time_offset: str | None
+    start: str | None
+    duration: str | None
+    every: str | None
+    max_scans: str | None
+    strict: bool
     extrinsic: str | None
 
     def load(self) -> RunConfig:
@@ -89,11 +131,17 @@ class ConfigOptions:
         return load_config(self.profile, self.config_file, [*self.settings, *self._overrides()])
 
     def _overrides(self) -> list[str]:
-        overrides = []
-        if self.cloud_topic is not None:
-            overrides.append(f"recording.cloud_topic={json.dumps(self.cloud_topic)}")
-        if self.pose_topic is not None:
-            overrides.append(f"recording.pose_topic={json.dumps(self.pose_topic)}")
+        overrides = [
+            f"recording.{key}={json.dumps(value)}"
+            for key in _RECORDING_TEXTS
+            if (value := getattr(self, key)) is not None
+        ]
+        for option, key in _RECORDING_NUMBERS.items():
+            value = getattr(self, option)
+            if value is not None:
+                overrides.append(f"recording.{key}={_number(option, value)}")
+        if self.strict:
+            overrides.append("recording.strict=true")
         if self.extrinsic is not None:
             overrides.append(f"sensor.extrinsic={json.dumps(parse_extrinsic(self.extrinsic))}")
         return overrides
@@ -120,6 +168,17 @@ def verbosity_options(function: F) -> F:
     """Give a command ``-v`` and ``-q``, passed to it as `verbose` and `quiet`."""
     function = click.option("-q", "--quiet", is_flag=True, help="Show errors only.")(function)
     return click.option("-v", "--verbose", is_flag=True, help="Show details.")(function)
+
+
+def _number(option: str, text: str) -> str:
+    """Text of a number as YAML and JSON write it; its range is the configuration's affair."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise ConfigError(f"--{option.replace('_', '-')} {text!r}: is not a number")
+    return str(int(number)) if number.is_integer() else repr(number)
 
 
 def parse_extrinsic(text: str) -> dict[str, Sequence[float]]:

@@ -75,7 +75,7 @@ def command(
 
     config = options.load()
     level = 0 if quiet else 2 if verbose else config.outputs.verbosity
-    opened = open_recording(list(recording))
+    opened = open_recording(list(recording), config.recording)
     folder = _output_folder(recording, output, config)
     check_output(folder, config, overwrite=overwrite)
     if level >= 1:

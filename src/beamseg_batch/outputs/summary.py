@@ -135,6 +135,8 @@ def _recording(result: FlightResult) -> dict[str, Any]:
         },
         "extrinsic": _extrinsic(recording),
         "notes": [_without_folders(text, recording) for text in recording.notes],
+        "recovered": recording.recovered,
+        "damage": [_without_folders(text, recording) for text in recording.damage],
     }
 
 

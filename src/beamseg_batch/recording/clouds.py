@@ -1,10 +1,10 @@
-"""``sensor_msgs/PointCloud2`` -> points."""
+"""Packed clouds, such as ``sensor_msgs/PointCloud2`` -> points."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,22 +12,26 @@ from numpy.typing import NDArray
 from beamseg_batch.errors import RecordingError
 
 __all__ = [
+    "FIELD_TYPES",
     "BadCloudError",
     "Cloud",
     "CloudHeader",
     "CloudMessage",
+    "Confidence",
     "PointLayout",
+    "first_named",
     "point_layout",
     "points_from_cloud",
     "read_cloud",
     "read_header",
+    "stamp_ns_of",
 ]
 
-_FLOAT_TYPES: Mapping[int, str] = {7: "f4", 8: "f8"}
-"""Codes of sensor_msgs/PointField that a coordinate may have."""
-_TYPE_NAMES = {
+FIELD_TYPES: Mapping[int, str] = {
     1: "int8", 2: "uint8", 3: "int16", 4: "uint16", 5: "int32", 6: "uint32",
+    7: "float32", 8: "float64",
 }  # fmt: skip
+"""Types of a field by their code in sensor_msgs/PointField."""
 
 
 class BadCloudError(RecordingError):
@@ -83,29 +87,62 @@ class CloudHeader(NamedTuple):
     stamp_ns: int
 
 
-def read_header(message: CloudMessage) -> CloudHeader:
-    """Frame and stamp of a cloud message.
+class Confidence(NamedTuple):
+    """Which points of a cloud are believed.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names that the field may have; the first one that a cloud has counts.
+    least : float
+        Points with less, or with NaN, become no-returns.
+    """
+
+    names: tuple[str, ...]
+    least: float
+
+
+def stamp_ns_of(stamp: Any) -> int:
+    """Time of a stamp of ROS, or of one of Foxglove's.
 
     Parameters
     ----------
-    message : CloudMessage
+    stamp : object
+        With ``sec``, and ``nanosec`` or ``nsec``.
+
+    Returns
+    -------
+    int, nanoseconds
+    """
+    nanoseconds = stamp.nanosec if hasattr(stamp, "nanosec") else stamp.nsec
+    return int(stamp.sec) * 1_000_000_000 + int(nanoseconds)
+
+
+def read_header(message: Any) -> CloudHeader:
+    """Frame and stamp of a message with a header, or of one of Foxglove's.
+
+    Parameters
+    ----------
+    message : object
 
     Returns
     -------
     CloudHeader
     """
-    stamp = message.header.stamp
-    return CloudHeader(
-        message.header.frame_id.lstrip("/"), stamp.sec * 1_000_000_000 + stamp.nanosec
-    )
+    header = getattr(message, "header", None)
+    if header is None:
+        return CloudHeader(message.frame_id.lstrip("/"), stamp_ns_of(message.timestamp))
+    return CloudHeader(header.frame_id.lstrip("/"), stamp_ns_of(header.stamp))
 
 
-def read_cloud(message: CloudMessage) -> Cloud:
+def read_cloud(message: CloudMessage, confidence: Confidence | None = None) -> Cloud:
     """Header and points of a cloud message.
 
     Parameters
     ----------
     message : CloudMessage
+    confidence : Confidence, optional
+        Which points are believed; without it all are.
 
     Returns
     -------
@@ -114,34 +151,38 @@ def read_cloud(message: CloudMessage) -> Cloud:
     """
     header, width, height = read_header(message), int(message.width), int(message.height)
     try:
-        return Cloud(header, width, height, points_from_cloud(message))
+        return Cloud(header, width, height, points_from_cloud(message, confidence))
     except BadCloudError as error:
         return Cloud(header, width, height, np.empty((0, 3), dtype=np.float32), str(error))
 
 
-def points_from_cloud(message: CloudMessage) -> NDArray[np.floating]:
+def points_from_cloud(
+    message: CloudMessage, confidence: Confidence | None = None
+) -> NDArray[np.floating]:
     """Coordinates of a cloud's points, in the order of the message.
 
     Parameters
     ----------
     message : CloudMessage
-        Any order, offsets and padding of fields, either byte order, 32 or 64 bits,
-        organised or not, rows padded or not.
+        Any order, type, offsets and padding of fields, either byte order, organised or
+        not, rows padded or not.
+    confidence : Confidence, optional
+        Which points are believed; the others become NaN.
 
     Returns
     -------
     (height * width, 3) float32 or float64, metres, sensor frame
-        In native byte order. No-returns stay as they are, NaN or infinite. A read-only
-        view of the message where x, y and z lie side by side, aligned and in native
-        byte order, else a copy.
+        In native byte order; integers as the floats that hold them. No-returns stay as
+        they are, NaN or infinite. A read-only view of the message where x, y and z lie
+        side by side as floats, aligned and in native byte order, else a copy.
 
     Raises
     ------
     BadCloudError
-        If x, y or z is missing or not a float, or if the data is shorter than the
-        sizes claim.
+        If x, y, z or the confidence is missing or of no known type, or if the data is
+        shorter than the sizes claim.
     """
-    return point_layout(message).points(np.asarray(message.data))
+    return point_layout(message, confidence).points(np.asarray(message.data))
 
 
 @dataclass(frozen=True)
@@ -155,13 +196,16 @@ class PointLayout:
     row_step : int
         Bytes from row to row.
     pixel : numpy dtype
-        One pixel, with the fields x, y and z only.
+        One pixel, with the fields x, y and z only, and with `least` also confidence.
+    least : float, optional
+        Points with less confidence become NaN.
     """
 
     height: int
     width: int
     row_step: int
     pixel: np.dtype[Any]
+    least: float | None = None
 
     def points(self, data: NDArray[np.uint8]) -> NDArray[np.floating]:
         """Coordinates in the data of a cloud, as `points_from_cloud` gives them.
@@ -183,20 +227,32 @@ class PointLayout:
         if points is None:
             # A signalling NaN in one field is no error when it becomes a NaN of another type.
             with np.errstate(invalid="ignore"):
-                points = np.stack([pixels["x"], pixels["y"], pixels["z"]], axis=-1)
-        points = points.reshape(-1, 3)
-        if points.flags.aligned and points.dtype.isnative:
+                axes = [_as_floats(pixels[name]) for name in "xyz"]
+                points = np.stack(axes, axis=-1)
+        points = _as_floats(points.reshape(-1, 3))
+        if self.least is None:
             return points
-        with np.errstate(invalid="ignore"):
-            return points.astype(points.dtype.newbyteorder("="))
+        believed = (pixels["confidence"] >= self.least).reshape(-1, 1)
+        return np.where(believed, points, points.dtype.type(np.nan))
 
 
-def point_layout(message: CloudMessage) -> PointLayout:
+def _as_floats(points: NDArray[Any]) -> NDArray[np.floating]:
+    """Make values floats that are aligned and in native byte order, if they are not."""
+    if points.dtype.kind != "f":
+        return points.astype(np.result_type(points.dtype.newbyteorder("="), np.float32))
+    if points.flags.aligned and points.dtype.isnative:
+        return points
+    with np.errstate(invalid="ignore"):
+        return points.astype(points.dtype.newbyteorder("="))
+
+
+def point_layout(message: CloudMessage, confidence: Confidence | None = None) -> PointLayout:
     """Where the coordinates of a cloud lie.
 
     Parameters
     ----------
     message : CloudMessage
+    confidence : Confidence, optional
 
     Returns
     -------
@@ -211,7 +267,23 @@ def point_layout(message: CloudMessage) -> PointLayout:
     if height * width == 0:
         return PointLayout(height, width, 0, np.dtype([]))
     row_step = _checked_row_step(message, height, width)
-    return PointLayout(height, width, row_step, _coordinate_layout(message))
+    wanted = {name: name for name in "xyz"}
+    if confidence is not None:
+        present = [field.name for field in message.fields]
+        wanted[first_named(confidence.names, present)] = "confidence"
+    pixel = _pixel(message, wanted)
+    return PointLayout(height, width, row_step, pixel, confidence and confidence.least)
+
+
+def first_named(names: Sequence[str], present: Sequence[str]) -> str:
+    """First of the names of a confidence field that a cloud has; BadCloudError without any."""
+    for name in names:
+        if name in present:
+            return name
+    raise BadCloudError(
+        f"the cloud has no field {' or '.join(map(repr, names))}, which sensor.min_confidence "
+        f"asks for; its fields are: {', '.join(present) or 'none'}; see sensor.confidence_fields"
+    )
 
 
 def _checked_row_step(message: CloudMessage, height: int, width: int) -> int:
@@ -230,28 +302,30 @@ def _checked_row_step(message: CloudMessage, height: int, width: int) -> int:
     return row_step
 
 
-def _coordinate_layout(message: CloudMessage) -> np.dtype[Any]:
-    """Build the structured dtype of one point, with x, y and z only."""
-    order = ">" if message.is_bigendian else "<"
+def _pixel(message: CloudMessage, wanted: Mapping[str, str]) -> np.dtype[Any]:
+    """Build the structured dtype of one point, with the wanted fields under new names."""
+    order: Literal["<", ">"] = ">" if message.is_bigendian else "<"
     formats, offsets = [], []
-    for name in "xyz":
+    for name in wanted:
         field = next((field for field in message.fields if field.name == name), None)
         if field is None:
             present = ", ".join(field.name for field in message.fields) or "none"
             raise BadCloudError(f"the cloud has no field {name!r}; its fields are: {present}")
-        if field.datatype not in _FLOAT_TYPES:
-            kind = _TYPE_NAMES.get(field.datatype, f"type {field.datatype}")
-            raise BadCloudError(f"field {name!r} is {kind}; float32 or float64 is needed")
-        formats.append(order + _FLOAT_TYPES[field.datatype])
+        if field.datatype not in FIELD_TYPES:
+            raise BadCloudError(
+                f"field {name!r} is of type {field.datatype}, which is none; types are 1 (int8) "
+                "to 8 (float64)"
+            )
+        formats.append(np.dtype(FIELD_TYPES[field.datatype]).newbyteorder(order))
         offsets.append(int(field.offset))
-        if field.offset + np.dtype(formats[-1]).itemsize > message.point_step:
+        if field.offset + formats[-1].itemsize > message.point_step:
             raise BadCloudError(
                 f"field {name!r} at byte {field.offset} does not fit into a point of "
                 f"{message.point_step} bytes"
             )
     return np.dtype(
         {
-            "names": ["x", "y", "z"],
+            "names": list(wanted.values()),
             "formats": formats,
             "offsets": offsets,
             "itemsize": int(message.point_step),

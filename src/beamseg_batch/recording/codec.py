@@ -1,9 +1,19 @@
 """Raw messages -> message objects, by the definitions that a recording carries.
 
-The codecs are those of rosbags; this module decides which definition is used. A
-recording's own comes first, since it describes the bytes at hand. Every message type
-gets a store of its own, built when the first message of that type is decoded: a
-definition that is broken, or that contradicts another, then hurts its own type only.
+This module decides which definition is used. A recording's own comes first, since it
+describes the bytes at hand. Every message type gets a decoder of its own, built when the
+first message of that type is decoded: a definition that is broken, or that contradicts
+another, then hurts its own type only.
+
+What a message object looks like: every field is an attribute of the name that the
+definition gives it, nested messages likewise, repeated fields are sequences.
+
+* ROS 1 and ROS 2 (named ``package/msg/Type``): as rosbags makes them. Times have ``sec``
+  and ``nanosec``, arrays of numbers are read-only numpy arrays.
+* Protobuf and JSON (named ``foxglove.PointCloud`` and so on): times have ``sec`` and
+  ``nsec``, so that a cloud's stamp is ``cloud.timestamp.sec`` and ``.nsec``; ``data`` is
+  bytes, in JSON too; repeated fields are lists; an enumeration such as
+  ``cloud.fields[0].type`` is its number.
 """
 
 from __future__ import annotations
@@ -20,6 +30,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CDR",
+    "JSON",
+    "PROTOBUF",
     "ROS1",
     "Definition",
     "MessageCodec",
@@ -34,6 +46,10 @@ ROS1 = "ros1"
 """Encoding of messages serialised by ROS 1."""
 CDR = "cdr"
 """Encoding of messages serialised by ROS 2."""
+PROTOBUF = "protobuf"
+"""Encoding of Foxglove's messages in protobuf."""
+JSON = "json"
+"""Encoding of messages as JSON."""
 
 # The types of ROS 1's transforms, which the ROS 1 store of rosbags does not hold.
 _ROS1_TRANSFORMS = "geometry_msgs/TransformStamped[] transforms\n"
@@ -51,16 +67,20 @@ class Definition:
     Attributes
     ----------
     encoding : str
-        `ROS1`, `CDR`, or the name that an MCAP file gives another encoding.
+        `ROS1`, `CDR`, `PROTOBUF`, `JSON`, or the name that an MCAP file gives another.
     language : str
-        ``msg``, ``idl``, or empty when the recording carries no definition.
+        ``msg``, ``idl``, ``jsonschema``, ``protobuf``, or empty when the recording
+        carries no definition.
     text : str
         The definition, its dependencies included.
+    descriptors : bytes
+        The definition where it is not text: a serialised FileDescriptorSet.
     """
 
     encoding: str
     language: str = ""
     text: str = ""
+    descriptors: bytes = b""
 
 
 def ros2_name(msgtype: str) -> str:
@@ -158,11 +178,42 @@ class MessageCodec:
 
     def _decoder(self, msgtype: str) -> Callable[[bytes, str], object]:
         definition = self._definitions.get(msgtype)
-        if definition is None or definition.encoding not in (ROS1, CDR):
+        make = _DECODERS.get(definition.encoding) if definition else None
+        if definition is None or make is None:
             encoding = definition.encoding if definition else "an unknown encoding"
             raise UndecodableMessageError(f"{msgtype} in {encoding} cannot be decoded")
-        store = _typestore(msgtype, definition)
-        return store.deserialize_ros1 if definition.encoding == ROS1 else store.deserialize_cdr
+        return make(msgtype, definition)
+
+
+def _ros1_decoder(msgtype: str, definition: Definition) -> Callable[[bytes, str], object]:
+    return _typestore(msgtype, definition).deserialize_ros1
+
+
+def _cdr_decoder(msgtype: str, definition: Definition) -> Callable[[bytes, str], object]:
+    return _typestore(msgtype, definition).deserialize_cdr
+
+
+def _protobuf_decoder(msgtype: str, definition: Definition) -> Callable[[bytes, str], object]:
+    from beamseg_batch.recording.codec_protobuf import protobuf_decoder
+
+    decode = protobuf_decoder(msgtype, definition.descriptors)
+    return lambda raw, _: decode(raw)
+
+
+def _json_decoder(_msgtype: str, definition: Definition) -> Callable[[bytes, str], object]:
+    from beamseg_batch.recording.codec_json import json_decoder
+
+    decode = json_decoder(definition.text)
+    return lambda raw, _: decode(raw)
+
+
+_DECODERS: Mapping[str, Callable[[str, Definition], Callable[[bytes, str], object]]] = {
+    ROS1: _ros1_decoder,
+    CDR: _cdr_decoder,
+    PROTOBUF: _protobuf_decoder,
+    JSON: _json_decoder,
+}
+"""Makers of decoders by encoding."""
 
 
 @lru_cache(maxsize=64)  # compiling a type takes longer than reading many scans

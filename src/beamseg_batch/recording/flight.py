@@ -2,50 +2,64 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
-from functools import cached_property, partial
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import chain, islice
+from pathlib import Path
 from time import perf_counter
-from typing import Any, TypeVar
+
+import numpy as np
 
 from beamseg_batch.config import RunConfig
-from beamseg_batch.errors import RecordingError
+from beamseg_batch.errors import NoScansError, RecordingError
 from beamseg_batch.model import RecordingInfo, Scan, SkippedScan, Trajectory
-from beamseg_batch.recording.clouds import (
-    Cloud,
-    CloudHeader,
-    CloudMessage,
-    read_cloud,
-    read_header,
+from beamseg_batch.recording.axes import (
+    T_OPTICAL_SENSOR,
+    AheadAxis,
+    AheadCounts,
+    choose_axis,
 )
+from beamseg_batch.recording.chains import find_chain
+from beamseg_batch.recording.clocks import duration_text
+from beamseg_batch.recording.cloud_reader import CloudReader
+from beamseg_batch.recording.clouds import Cloud, CloudHeader
 from beamseg_batch.recording.codec import UndecodableMessageError
 from beamseg_batch.recording.containers import RawMessage
+from beamseg_batch.recording.depth import IMAGE
 from beamseg_batch.recording.frames import (
     Extrinsic,
     FrameRoles,
     TransformTree,
-    choose_tf_edge,
     choose_track_edge,
     find_extrinsic,
     find_roles,
     read_static_tree,
+    tree_of,
 )
 from beamseg_batch.recording.matching import match_pose, seconds_to_ns, within_int64
-from beamseg_batch.recording.poses import Edge, read_edges, read_tracks
+from beamseg_batch.recording.pose_arrays import resampled
+from beamseg_batch.recording.pose_files import read_pose_file
+from beamseg_batch.recording.poses import Edge, EdgeKind, read_edges, read_tracks
+from beamseg_batch.recording.px4 import ATTITUDE, LOCAL_POSITION
+from beamseg_batch.recording.selection import Selection
 from beamseg_batch.recording.source import Recording, TopicInfo
-from beamseg_batch.recording.templates import CloudTemplate, cloud_template
 from beamseg_batch.recording.topics import CLOUDS, POSES, TF_TYPES, TopicChoice, choose_topic
 
 __all__ = [
     "Flight",
+    "FlightPoses",
+    "choose_poses",
     "cloud_stamp_ns",
     "open_flight",
-    "read_first",
-    "read_trajectory",
+    "read_poses",
 ]
 
-T = TypeVar("T")
+_SAMPLED_CLOUDS = 64
+"""Most clouds looked at to tell which axis looks ahead."""
+_FAR_APART_S = 60.0
+"""How much longer than the recording the time from clouds to poses is when clocks differ."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +77,8 @@ class Flight:
         All poses of the recording.
     roles : FrameRoles
     extrinsic : Extrinsic
+    axis : AheadAxis
+        Which axis of the clouds looks ahead.
     notes : tuple of str
         Choices worth telling.
     """
@@ -74,12 +90,18 @@ class Flight:
     trajectory: Trajectory
     roles: FrameRoles
     extrinsic: Extrinsic
+    axis: AheadAxis
     notes: tuple[str, ...]
 
-    @property
+    @cached_property
+    def selection(self) -> Selection:
+        """Which of the clouds are used."""
+        return Selection.of(self.config.recording, self.recording)
+
+    @cached_property
     def n_clouds(self) -> int:
-        """Number of clouds in the recording, usable or not."""
-        return self.clouds.topic.count
+        """Number of clouds that `scans` goes through, usable or not."""
+        return self.selection.count(self.recording, self.clouds.topic)
 
     @cached_property
     def info(self) -> RecordingInfo:
@@ -100,10 +122,27 @@ class Flight:
             T_body_sensor=self.extrinsic.T_body_sensor,
             extrinsic_source=self.extrinsic.source,
             notes=self.notes,
+            damage=recording.damage_places,
+            damage_notes=recording.damage_notes,
         )
 
+    def thinned(self, every: int) -> Flight:
+        """Return the same flight with only every so manieth of its clouds.
+
+        Parameters
+        ----------
+        every : int
+
+        Returns
+        -------
+        Flight
+        """
+        recording = self.config.recording
+        fewer = recording.model_copy(update={"every": recording.every * max(every, 1)})
+        return replace(self, config=self.config.model_copy(update={"recording": fewer}))
+
     def scans(self) -> Iterator[Scan | SkippedScan]:
-        """Pair every cloud with its pose, in order of log time.
+        """Pair every selected cloud with its pose, in order of log time.
 
         Yields
         ------
@@ -117,20 +156,21 @@ class Flight:
             If the file cannot be read any further.
         """
         start = perf_counter()
-        reader = _CloudReader(self.recording)
-        for index, raw in enumerate(self.recording.topic_messages(self.clouds.topic)):
+        topic = self.clouds.topic
+        reader = CloudReader(self.recording, topic, self.config.sensor, self.axis.is_z)
+        for index, raw in self.selection.pick(self.recording.topic_messages(topic)):
             # The clock stands while the caller works on a scan.
             yield self._scan(index, raw, reader, start)
             start = perf_counter()
 
     def _scan(
-        self, index: int, raw: RawMessage, reader: _CloudReader, start: float
+        self, index: int, raw: RawMessage, reader: CloudReader, start: float
     ) -> Scan | SkippedScan:
         try:
             cloud = reader.read(raw)
         except UndecodableMessageError as error:
             return self._skipped(index, raw, raw.log_time_ns, "undecodable_message", str(error))
-        stamp_ns = cloud_stamp_ns(cloud.header, raw, self.config)
+        stamp_ns = cloud_stamp_ns(cloud.header.stamp_ns, raw.log_time_ns, self.config)
         if cloud.problem:
             return self._skipped(index, raw, stamp_ns, "bad_cloud", cloud.problem)
         if len(cloud.points) == 0:
@@ -155,7 +195,8 @@ class Flight:
         limit_s = self.config.matching.max_gap_s
         detail = f"nearest pose {gap_ns * 1e-9:.3f} s away, limit {limit_s:.3f} s; see "
         if gap_ns > self.recording.end_ns - self.recording.start_ns:
-            return detail + "recording.time_offset_s: the stamps seem to be of two clocks"
+            way_out = _clock_way_out(self.config)
+            return detail + f"{way_out}: the stamps seem to be of two clocks"
         return detail + "matching.max_gap_s"
 
     def _skipped(
@@ -164,23 +205,6 @@ class Flight:
         # Log time: header stamps may come from another clock than the recording's span.
         where = f"cloud at {self.recording.seconds(raw.log_time_ns):.3f} s"
         return SkippedScan(index, stamp_ns, reason, f"{where}: {detail}")
-
-
-class _CloudReader:
-    """Reads clouds; one laid out like an earlier one is not decoded again."""
-
-    def __init__(self, recording: Recording) -> None:
-        self._recording = recording
-        self._template: CloudTemplate | None = None
-
-    def read(self, raw: RawMessage) -> Cloud:
-        cloud = self._template.read(raw.data) if self._template else None
-        return cloud or self._recording.read(raw, partial(self._decoded, raw))
-
-    def _decoded(self, raw: RawMessage, message: CloudMessage) -> Cloud:
-        encoding = self._recording.encoding_of(raw.msgtype)
-        self._template = cloud_template(raw.data, message, encoding)
-        return read_cloud(message)
 
 
 def open_flight(recording: Recording, config: RunConfig) -> Flight:
@@ -199,43 +223,146 @@ def open_flight(recording: Recording, config: RunConfig) -> Flight:
     ------
     TopicError
         If no topic, or more than one, could hold the clouds or the poses.
+    PoseFileError
+        If the file of poses that is named cannot be read.
+    NoScansError
+        If no cloud lies in the range of time that is asked for.
     RecordingError
         If it holds no usable pose, if the frames cannot be told, or if it cannot be read.
     """
     clouds = choose_topic(recording, CLOUDS, config.recording.cloud_topic)
-    poses = choose_topic(recording, POSES, config.recording.pose_topic)
-    recording.hold([clouds.topic.name, poses.topic.name])
-    header = read_first(recording, clouds.topic, read_header) or CloudHeader("", 0)
+    choice = choose_poses(recording, config)
+    recording.hold([clouds.topic.name, choice.topic.name])
+    reader = CloudReader(recording, clouds.topic, config.sensor)
+    sample = _Sample(recording, clouds.topic, reader)
     tree = read_static_tree(recording)
-    edge, trajectory, pose_notes = read_trajectory(
-        recording, poses.topic, tree, header.frame, config
-    )
-    roles = find_roles(edge, header.frame, tree, config.recording)
-    extrinsic = find_extrinsic(config.sensor, tree, roles)
-    notes = [clouds.note, poses.note, *_cloud_notes(header), *pose_notes]
-    notes += [*_frame_notes(edge, roles), *extrinsic.notes]
-    return Flight(
+    poses = read_poses(recording, choice, tree, sample.header.frame, config)
+    roles = find_roles(poses.edge, sample.header.frame, poses.tree, config.recording)
+    extrinsic = find_extrinsic(config.sensor, poses.tree, roles)
+    axis = _ahead(sample, config, roles, poses)
+    notes = [clouds.note, choice.note, *_cloud_notes(sample, config), *poses.notes]
+    notes += [reader.camera.note if reader.camera else "", axis.note]
+    notes += [*_frame_notes(poses.edge, roles), *extrinsic.notes]
+    notes += _clock_notes(sample, poses.trajectory, recording, config)
+    if axis.is_z and _is_of_cloud_axes(extrinsic, poses.edge, roles):
+        extrinsic = replace(extrinsic, T_body_sensor=extrinsic.T_body_sensor @ T_OPTICAL_SENSOR)
+    flight = Flight(
         recording,
         config,
         clouds,
-        poses,
-        trajectory,
+        choice,
+        poses.trajectory,
         roles,
         extrinsic,
+        axis,
         tuple(note for note in notes if note),
     )
+    if flight.selection.is_timed and clouds.topic.count and not flight.n_clouds:
+        raise NoScansError(
+            f"{recording.name}: {clouds.topic.name}: none of {clouds.topic.count} clouds lies in "
+            f"the range of time asked for, {_range_text(config)} of "
+            f"{recording.seconds(recording.end_ns):.3f} s; see --start and --duration"
+        )
+    return flight
 
 
-def read_trajectory(
-    recording: Recording, topic: TopicInfo, tree: TransformTree, sensor: str, config: RunConfig
-) -> tuple[Edge, Trajectory, list[str]]:
+class _Sample:
+    """The first clouds of a topic, read as far as they are asked for."""
+
+    def __init__(self, recording: Recording, topic: TopicInfo, reader: CloudReader) -> None:
+        self.topic = topic
+        self.header = CloudHeader("", 0)
+        self.log_time_ns: int | None = None
+        self._clouds = self._read(recording, topic, reader)
+        self._first = next(self._clouds, None)
+
+    def _read(self, recording: Recording, topic: TopicInfo, reader: CloudReader) -> Iterator[Cloud]:
+        for raw in recording.topic_messages(topic):
+            with suppress(UndecodableMessageError):
+                cloud = reader.read(raw)
+                if self.log_time_ns is None:
+                    self.header, self.log_time_ns = cloud.header, raw.log_time_ns
+                yield cloud
+
+    def counts(self) -> AheadCounts:
+        """Count the returns ahead along either axis in the first clouds."""
+        clouds = chain([self._first] if self._first else [], self._clouds)
+        return AheadCounts.of(cloud.points for cloud in islice(clouds, _SAMPLED_CLOUDS))
+
+
+def _ahead(sample: _Sample, config: RunConfig, roles: FrameRoles, poses: FlightPoses) -> AheadAxis:
+    if sample.topic.msgtype == IMAGE:
+        return AheadAxis(True, "depths are along the optical axis")
+    linked = poses.tree.transform(roles.body, roles.sensor)
+    rotation = None if linked is None else linked.rotation
+    return choose_axis(config.sensor, roles.sensor, sample.counts(), rotation)
+
+
+def _is_of_cloud_axes(extrinsic: Extrinsic, edge: Edge, roles: FrameRoles) -> bool:
+    """Whether ``T_body_sensor`` is of the clouds' own axes, be they optical.
+
+    One that is configured, or taken for the identity, is of a camera with x forward; one of
+    the transform tree is of the frame, and so is a pose of the very frame of the clouds.
+    """
+    if extrinsic.source == "identity":
+        return bool(edge[1]) and edge[1] == roles.sensor
+    return extrinsic.source == "tf_static"
+
+
+def choose_poses(recording: Recording, config: RunConfig) -> TopicChoice:
+    """Choose where the poses come from: the file that is named, else a topic.
+
+    Parameters
+    ----------
+    recording : Recording
+    config : RunConfig
+
+    Returns
+    -------
+    TopicChoice
+        A file stands as a topic of its path, without a type.
+
+    Raises
+    ------
+    TopicError
+        As `choose_topic` does.
+    """
+    path = config.recording.pose_file
+    if path is None:
+        return choose_topic(recording, POSES, config.recording.pose_topic)
+    return TopicChoice(TopicInfo(path, "", 0), "named by recording.pose_file")
+
+
+@dataclass(frozen=True, eq=False)
+class FlightPoses:
+    """The drone's poses, as read.
+
+    Attributes
+    ----------
+    edge : Edge
+        Frame and child frame of the poses; empty where nothing names them.
+    trajectory : Trajectory
+    tree : TransformTree
+        Static transforms, those included that a moving topic repeats without change.
+    notes : list of str
+    """
+
+    edge: Edge
+    trajectory: Trajectory
+    tree: TransformTree
+    notes: list[str]
+
+
+def read_poses(
+    recording: Recording, choice: TopicChoice, tree: TransformTree, sensor: str, config: RunConfig
+) -> FlightPoses:
     """Read the poses of the drone.
 
     Parameters
     ----------
     recording : Recording
-    topic : TopicInfo
-        Of one of the pose types.
+    choice : TopicChoice
+        Topic of one of the pose types, or file.
     tree : TransformTree
         Static transforms, which tell whose pose is the drone's in a transform topic.
     sensor : str
@@ -244,89 +371,149 @@ def read_trajectory(
 
     Returns
     -------
-    Edge
-        Header frame and child frame of the poses.
-    Trajectory
-    list of str
-        Notes.
+    FlightPoses
 
     Raises
     ------
     RecordingError
         If there is no usable pose, or if it is not clear whose poses to use.
     """
+    topic = choice.topic
     where = f"{recording.name}: {topic.name}"
-    wanted: Edge | None = None
-    if topic.msgtype in TF_TYPES:
-        wanted = choose_tf_edge(
-            _moving_edges(recording, topic), tree, sensor, config.recording, where
-        )
-    tracks, notes = read_tracks(recording, topic, wanted)
+    if config.recording.pose_file is not None:
+        track = read_pose_file(Path(config.recording.pose_file))
+        trajectory, notes = track.trajectory()
+        poses = FlightPoses(track.edge, trajectory, tree, notes)
+    elif topic.msgtype in TF_TYPES:
+        poses = _poses_of_tree(recording, topic, tree, sensor, config)
+    else:
+        poses = _poses_of_topic(recording, topic, tree, config)
+    if len(poses.trajectory) == 0:
+        raise RecordingError(f"{where}: no usable pose; {' '.join(poses.notes)}")
+    return poses
+
+
+def _poses_of_topic(
+    recording: Recording, topic: TopicInfo, tree: TransformTree, config: RunConfig
+) -> FlightPoses:
+    where = f"{recording.name}: {topic.name}"
+    from_log = config.recording.time_source == "log"
+    tracks, notes = read_tracks(recording, topic, from_log=from_log)
     if not tracks:
         raise RecordingError(f"{where}: no pose could be read; {' '.join(notes)}")
-    edge = wanted or choose_track_edge(tracks.keys(), config.recording, where)
+    edge = choose_track_edge(tracks.keys(), config.recording, where)
     trajectory, track_notes = tracks[edge].trajectory()
-    notes += track_notes
-    if len(trajectory) == 0:
-        raise RecordingError(f"{where}: no usable pose; {' '.join(notes)}")
-    return edge, trajectory, notes
+    if topic.msgtype == LOCAL_POSITION and len(trajectory):
+        trajectory, attitude_notes = _with_attitude(recording, topic, trajectory, from_log)
+        track_notes += attitude_notes
+    return FlightPoses(edge, trajectory, tree, notes + track_notes)
 
 
-def _moving_edges(recording: Recording, topic: TopicInfo) -> list[Edge]:
+def _with_attitude(
+    recording: Recording, topic: TopicInfo, trajectory: Trajectory, from_log: bool
+) -> tuple[Trajectory, list[str]]:
+    """Give positions that know their heading alone the attitudes of another topic."""
+    there = [other for other in recording.topics if other.msgtype == ATTITUDE and other.count]
+    tracks = read_tracks(recording, there[0], from_log=from_log)[0] if there else {}
+    for track in tracks.values():
+        attitudes = track.trajectory()[0]
+        if len(attitudes):
+            turned = resampled(attitudes, trajectory.stamps_ns)
+            kept = np.isin(trajectory.stamps_ns, turned.stamps_ns)
+            note = f"the attitudes are those of {there[0].name}"
+            return replace(turned, positions=trajectory.positions[kept]), [note]
+    return trajectory, [
+        f"{topic.name} holds the heading alone: the drone is taken to be level, which displaces "
+        "beams when it tilts; record px4_msgs/VehicleOdometry or VehicleAttitude with it"
+    ]
+
+
+def _poses_of_tree(
+    recording: Recording, topic: TopicInfo, tree: TransformTree, sensor: str, config: RunConfig
+) -> FlightPoses:
+    where = f"{recording.name}: {topic.name}"
+    moving = _moving_edges(recording, topic)
+    found = find_chain(moving, tree, sensor, config.recording, where)
+    fixed = {e: kind.first for e, kind in moving.items() if not kind.moves}
+    fixed = {e: values for e, values in fixed.items() if e not in found.moving}
+    grown = tree_of(fixed).grown(tree)
+    from_log = config.recording.time_source == "log"
+    tracks, notes = read_tracks(recording, topic, found.moving, from_log=from_log)
+    trajectories = {}
+    for edge, track in tracks.items():
+        trajectories[edge], track_notes = track.trajectory()
+        if len(trajectories[edge]) == 0:
+            raise RecordingError(
+                f"{where}: no usable pose of {edge[1]!r} in {edge[0]!r}; {' '.join(track_notes)}"
+            )
+        notes += track_notes
+    if len(found.edges) > 1:
+        path = " -> ".join(dict.fromkeys(frame for edge in found.edges for frame in edge))
+        notes.append(f"the poses are the product of the transforms {path}")
+    return FlightPoses((found.world, found.body), found.follow(trajectories, grown), grown, notes)
+
+
+def _moving_edges(recording: Recording, topic: TopicInfo) -> dict[Edge, EdgeKind]:
     edges = read_edges(recording, topic)
     if not edges:
         raise RecordingError(f"{recording.name}: {topic.name}: no transform could be read")
     return edges
 
 
-def read_first(recording: Recording, topic: TopicInfo, extract: Callable[[Any], T]) -> T | None:
-    """Read the first message of a topic that can be decoded.
+def cloud_stamp_ns(stamp_ns: int, log_time_ns: int, config: RunConfig) -> int:
+    """Stamp of a cloud, of its header or of the log, plus the offset.
 
     Parameters
     ----------
-    recording : Recording
-    topic : TopicInfo
-    extract : callable
-        From the message object to the result.
-
-    Returns
-    -------
-    object or None
-        What `extract` returns; None when no message can be decoded.
-
-    Raises
-    ------
-    RecordingError
-        If the file cannot be read.
-    """
-    for raw in recording.topic_messages(topic):
-        with suppress(UndecodableMessageError):
-            return recording.read(raw, extract)
-    return None
-
-
-def cloud_stamp_ns(header: CloudHeader, raw: RawMessage, config: RunConfig) -> int:
-    """Stamp of a cloud: of its header, or the log time when that is zero, plus the offset.
-
-    Parameters
-    ----------
-    header : CloudHeader
-    raw : RawMessage
+    stamp_ns : int
+        Of the header; the log time stands in for it when that is zero.
+    log_time_ns : int
     config : RunConfig
-        Whose ``recording.time_offset_s`` is added.
+        Whose ``recording.time_source`` chooses and ``recording.time_offset_s`` is added.
 
     Returns
     -------
     int, nanoseconds
     """
-    stamp_ns = header.stamp_ns or raw.log_time_ns
-    return within_int64(stamp_ns + seconds_to_ns(config.recording.time_offset_s))
+    chosen = log_time_ns if config.recording.time_source == "log" else stamp_ns or log_time_ns
+    return within_int64(chosen + seconds_to_ns(config.recording.time_offset_s))
 
 
-def _cloud_notes(header: CloudHeader) -> list[str]:
-    if header.stamp_ns == 0:
+def _cloud_notes(sample: _Sample, config: RunConfig) -> list[str]:
+    if sample.header.stamp_ns == 0 and config.recording.time_source == "header":
         return ["the clouds have no stamps: their log time is used"]
     return []
+
+
+def _clock_notes(
+    sample: _Sample, trajectory: Trajectory, recording: Recording, config: RunConfig
+) -> list[str]:
+    """Say when the clocks of clouds and poses are so far apart that they never meet."""
+    if sample.log_time_ns is None:
+        return []
+    stamp_ns = cloud_stamp_ns(sample.header.stamp_ns, sample.log_time_ns, config)
+    first, last = int(trajectory.stamps_ns[0]), int(trajectory.stamps_ns[-1])
+    apart_s = max(first - stamp_ns, stamp_ns - last) * 1e-9
+    if apart_s < recording.seconds(recording.end_ns) + _FAR_APART_S:
+        return []
+    return [
+        f"the clocks of clouds and poses never meet: they are {duration_text(apart_s)} apart; "
+        f"see {_clock_way_out(config)}; --time-offset {(first - stamp_ns) * 1e-9:.3f} would let "
+        "both begin at the same time"
+    ]
+
+
+def _clock_way_out(config: RunConfig) -> str:
+    """Options that bring the clocks together: the log's clock, unless it is the one in use."""
+    if config.recording.time_source == "log" or config.recording.pose_file is not None:
+        return "--time-offset (recording.time_offset_s)"
+    return "--time-source log or --time-offset (recording.time_source, recording.time_offset_s)"
+
+
+def _range_text(config: RunConfig) -> str:
+    start_s, duration_s = config.recording.start_s, config.recording.duration_s
+    end = "the end" if duration_s is None else f"{start_s + duration_s:g} s"
+    return f"{start_s:g} s to {end}"
 
 
 def _frame_notes(edge: Edge, roles: FrameRoles) -> list[str]:

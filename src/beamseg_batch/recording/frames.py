@@ -6,14 +6,13 @@ node's logs call the moving drone frame ``world`` and the fixed one ``mocap``.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
 from beamseg_batch.config import RecordingConfig, SensorConfig
-from beamseg_batch.errors import AmbiguousTopicError, RecordingError
+from beamseg_batch.errors import AmbiguousTopicError
 from beamseg_batch.geometry import RigidTransform, matrix_from_rpy
 from beamseg_batch.recording.poses import Edge, read_tracks, usable_poses
 from beamseg_batch.recording.source import Recording
@@ -23,11 +22,14 @@ __all__ = [
     "Extrinsic",
     "FrameRoles",
     "TransformTree",
-    "choose_tf_edge",
     "choose_track_edge",
     "find_extrinsic",
     "find_roles",
+    "lineage",
+    "listed_edges",
+    "named_edges",
     "read_static_tree",
+    "tree_of",
 ]
 
 
@@ -60,11 +62,15 @@ class TransformTree:
         RigidTransform or None
             ``T_target_source``; None when the tree does not link the frames.
         """
-        up_source, up_target = (_lineage(frame, self.parents) for frame in (source, target))
+        up_source, up_target = (lineage(frame, self.parents) for frame in (source, target))
         common = next((frame for frame in up_source if frame in up_target), None)
         if common is None:
             return None
         return self._up(target, common).inverse() @ self._up(source, common)
+
+    def grown(self, more: TransformTree) -> TransformTree:
+        """Tree with the transforms of another one, whose word counts where both have one."""
+        return TransformTree({**self._transforms, **more._transforms})
 
     def _up(self, frame: str, ancestor: str) -> RigidTransform:
         """``T_ancestor_frame``."""
@@ -75,12 +81,12 @@ class TransformTree:
         return chain
 
 
-def _lineage(frame: str, parents: Mapping[str, str]) -> list[str]:
+def lineage(frame: str, parents: Mapping[str, str]) -> list[str]:
     """Frame, its parent, and so on to the root; a loop ends where it closes."""
-    lineage = [frame]
-    while (parent := parents.get(lineage[-1])) is not None and parent not in lineage:
-        lineage.append(parent)
-    return lineage
+    frames = [frame]
+    while (parent := parents.get(frames[-1])) is not None and parent not in frames:
+        frames.append(parent)
+    return frames
 
 
 def read_static_tree(recording: Recording) -> TransformTree:
@@ -100,15 +106,31 @@ def read_static_tree(recording: Recording) -> TransformTree:
     RecordingError
         If the file cannot be read.
     """
-    transforms: dict[str, tuple[str, RigidTransform]] = {}
+    poses: dict[Edge, Sequence[float]] = {}
     for topic in recording.topics:
-        if not is_static_tf(topic) or not topic.count:
-            continue
-        for (parent, child), track in read_tracks(recording, topic)[0].items():
-            last = np.array(track.values[-7:])
-            if parent != child and usable_poses(last[None]).all():
-                pose = RigidTransform.from_quaternion(last[:3], last[3:])
-                transforms[child] = (parent, pose)
+        if is_static_tf(topic) and topic.count:
+            tracks = read_tracks(recording, topic)[0]
+            poses |= {edge: track.values[-7:] for edge, track in tracks.items()}
+    return tree_of(poses)
+
+
+def tree_of(poses: Mapping[Edge, Sequence[float]]) -> TransformTree:
+    """Make a tree of single poses; those that cannot be used are left out.
+
+    Parameters
+    ----------
+    poses : mapping of Edge to sequence of 7 float
+        Position and quaternion, as in `PoseRecord`.
+
+    Returns
+    -------
+    TransformTree
+    """
+    transforms: dict[str, tuple[str, RigidTransform]] = {}
+    for (parent, child), values in poses.items():
+        pose = np.array(values)
+        if parent != child and usable_poses(pose[None]).all():
+            transforms[child] = (parent, RigidTransform.from_quaternion(pose[:3], pose[3:]))
     return TransformTree(transforms)
 
 
@@ -161,8 +183,8 @@ def find_roles(edge: Edge, sensor: str, tree: TransformTree, config: RecordingCo
 
 def _carrier(sensor: str, tree: TransformTree, fixed: Collection[str]) -> tuple[str, str]:
     """Frame that carries the sensor: the highest one above it that is not fixed."""
-    lineage = _lineage(sensor, tree.parents)
-    moving = [frame for frame in lineage[1:] if frame not in fixed]
+    above = lineage(sensor, tree.parents)
+    moving = [frame for frame in above[1:] if frame not in fixed]
     if moving:
         return moving[-1], f"the root above {sensor!r} in /tf_static"
     return sensor, "the sensor's frame: nothing names another"
@@ -250,74 +272,16 @@ def choose_track_edge(edges: Collection[Edge], config: RecordingConfig, where: s
     """
     if len(edges) == 1:
         return next(iter(edges))
-    fitting = list(_named_edges(edges, config))
+    fitting = list(named_edges(edges, config))
     if len(fitting) == 1:
         return fitting[0]
     raise AmbiguousTopicError(
-        f"{where}: poses of several frames: {_listed(edges)}; choose with "
+        f"{where}: poses of several frames: {listed_edges(edges)}; choose with "
         "recording.body_frame and recording.world_frame"
     )
 
 
-def choose_tf_edge(
-    moving: Collection[Edge],
-    tree: TransformTree,
-    sensor: str,
-    config: RecordingConfig,
-    where: str,
-) -> Edge:
-    """Choose the moving transform that is the drone's pose.
-
-    Parameters
-    ----------
-    moving : collection of Edge
-        Transforms of the pose topic.
-    tree : TransformTree
-    sensor : str
-        Header frame of the clouds.
-    config : RecordingConfig
-    where : str
-        Recording and topic, for the message.
-
-    Returns
-    -------
-    Edge
-        World frame and body frame. The frames that the configuration names; else the
-        one moving transform between the sensor's frame and the root above it.
-
-    Raises
-    ------
-    RecordingError
-        If that is not one transform.
-    """
-    named = list(_named_edges(moving, config))
-    if config.world_frame is not None and config.body_frame is not None:
-        if named:
-            return named[0]
-        raise RecordingError(
-            f"{where}: no transform from {config.world_frame!r} to {config.body_frame!r}; there "
-            f"are: {_listed(moving)}. A chain of moving transforms cannot be followed yet"
-        )
-    parents = {**tree.parents, **{child: parent for parent, child in moving}}
-    lineage = _lineage(sensor, parents)
-    above = [(parent, child) for child, parent in pairwise(lineage) if (parent, child) in named]
-    if len(above) == 1:
-        return above[0]
-    if len(named) == 1 and not above:
-        return named[0]
-    problem = (
-        "a chain of moving transforms leads to it, which cannot be followed yet"
-        if above
-        else "no moving transform leads to it"
-    )
-    raise RecordingError(
-        f"{where}: which transform is the drone's pose is not clear: the cloud's frame is "
-        f"{sensor!r} and {problem}; set recording.body_frame (and recording.world_frame) to "
-        f"one of: {_listed(moving)}"
-    )
-
-
-def _named_edges(edges: Collection[Edge], config: RecordingConfig) -> Iterator[Edge]:
+def named_edges(edges: Collection[Edge], config: RecordingConfig) -> Iterator[Edge]:
     """Edges that do not contradict the frames of the configuration."""
     world, body = (name and name.lstrip("/") for name in (config.world_frame, config.body_frame))
     for parent, child in edges:
@@ -325,7 +289,8 @@ def _named_edges(edges: Collection[Edge], config: RecordingConfig) -> Iterator[E
             yield parent, child
 
 
-def _listed(edges: Collection[Edge]) -> str:
+def listed_edges(edges: Collection[Edge]) -> str:
+    """Write edges for people."""
     return ", ".join(
         f"{parent!r} -> {child!r}" if child else repr(parent) for parent, child in edges
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -14,19 +15,29 @@ from beamseg_batch.config import RunConfig
 from beamseg_batch.errors import BeamsegError
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import Trajectory
-from beamseg_batch.recording.clouds import CloudMessage, read_cloud, read_header
+from beamseg_batch.recording.clocks import clock_notes
+from beamseg_batch.recording.cloud_reader import CloudReader
+from beamseg_batch.recording.clouds import FIELD_TYPES, Cloud, read_header
 from beamseg_batch.recording.codec import UndecodableMessageError
 from beamseg_batch.recording.flight import (
     Flight,
+    choose_poses,
     cloud_stamp_ns,
     open_flight,
-    read_first,
-    read_trajectory,
+    read_poses,
 )
 from beamseg_batch.recording.frames import read_static_tree
-from beamseg_batch.recording.matching import nearest_index, seconds_to_ns
+from beamseg_batch.recording.matching import nearest_gaps, seconds_to_ns
+from beamseg_batch.recording.other_clouds import packed_cloud
+from beamseg_batch.recording.selection import Selection
 from beamseg_batch.recording.source import Recording, TopicInfo
-from beamseg_batch.recording.topics import CLOUDS, POSES, TopicChoice, TopicRole, choose_topic
+from beamseg_batch.recording.templates import (
+    HEADER_BYTES,
+    HEADER_FIRST,
+    header_stamp_ns,
+    is_templated,
+)
+from beamseg_batch.recording.topics import CLOUDS, TopicChoice, choose_topic
 
 __all__ = [
     "CloudLayout",
@@ -40,10 +51,6 @@ __all__ = [
     "TopicSummary",
     "inspect_recording",
 ]
-
-_FIELD_TYPES = (
-    "", "int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64",
-)  # fmt: skip
 
 T = TypeVar("T")
 
@@ -212,6 +219,10 @@ class RecordingSummary:
         Choices worth telling.
     problems : tuple of str
         What would stop a run.
+    recovered : bool
+        Whether the recording is damaged.
+    damage : tuple of str
+        Every damaged place that was found, with its file and what was lost.
     """
 
     paths: tuple[str, ...]
@@ -231,6 +242,8 @@ class RecordingSummary:
     first_cloud: CloudLayout | None
     notes: tuple[str, ...]
     problems: tuple[str, ...]
+    recovered: bool = False
+    damage: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Return the same as dictionaries, lists, numbers and strings."""
@@ -256,20 +269,27 @@ def inspect_recording(recording: Recording, config: RunConfig) -> RecordingSumma
         If the file itself cannot be read.
     """
     problems: list[str] = []
-    clouds = _attempt(problems, _choice, recording, CLOUDS, config)
-    poses = _attempt(problems, _choice, recording, POSES, config)
+    clouds = _attempt(problems, choose_topic, recording, CLOUDS, config.recording.cloud_topic)
+    poses = _attempt(problems, choose_poses, recording, config)
     flight = _attempt(problems, open_flight, recording, config) if clouds and poses else None
     cloud_stamps = _cloud_stamps(recording, clouds.topic, config) if clouds else None
     trajectory = flight.trajectory if flight else None
     if poses and not clouds:
-        trajectory = _attempt(problems, _trajectory, recording, poses.topic, config)
-    match = _match_summary(cloud_stamps, trajectory, config)
+        trajectory = _attempt(problems, _trajectory, recording, poses, config)
+    used_ns = None if cloud_stamps is None else cloud_stamps.used_ns
+    match = _match_summary(used_ns, trajectory, config)
     if match is not None and match.share_within_gap == 0.0:
         problems.append(
             f"{recording.name}: no cloud has a pose within {match.max_gap_s:.3f} s; the median "
-            f"distance is {match.median_dt_s:.3f} s; see matching.max_gap_s and "
-            "recording.time_offset_s"
+            f"distance is {match.median_dt_s:.3f} s; see matching.max_gap_s, --time-source "
+            "and --time-offset"
         )
+    first_cloud = (
+        _attempt(problems, _first_cloud, recording, clouds.topic, config) if clouds else None
+    )
+    notes = flight.notes if flight else tuple(c.note for c in (clouds, poses) if c and c.note)
+    if cloud_stamps is not None and config.recording.time_source == "header":
+        notes += tuple(clock_notes("clouds", cloud_stamps.headers_ns, cloud_stamps.log_times_ns))
     return RecordingSummary(
         paths=tuple(map(str, recording.paths)),
         container=recording.container,
@@ -282,12 +302,14 @@ def inspect_recording(recording: Recording, config: RunConfig) -> RecordingSumma
         pose_topic=_choice_summary(poses, problems[-1] if problems else ""),
         frames=_frames(flight),
         extrinsic=_extrinsic(flight),
-        clouds=None if cloud_stamps is None else _stamp_summary(np.sort(cloud_stamps)),
+        clouds=None if used_ns is None else _stamp_summary(np.sort(used_ns)),
         poses=None if trajectory is None else _stamp_summary(trajectory.stamps_ns),
         match=match,
-        first_cloud=read_first(recording, clouds.topic, _layout) if clouds else None,
-        notes=flight.notes if flight else tuple(c.note for c in (clouds, poses) if c and c.note),
+        first_cloud=first_cloud,
+        notes=notes,
         problems=tuple(problems),
+        recovered=bool(recording.damage),
+        damage=recording.damage_places,
     )
 
 
@@ -300,13 +322,8 @@ def _attempt(problems: list[str], function: Callable[..., T], *arguments: Any) -
         return None
 
 
-def _choice(recording: Recording, role: TopicRole, config: RunConfig) -> TopicChoice:
-    named = getattr(config.recording, f"{role.word}_topic")
-    return choose_topic(recording, role, named)
-
-
-def _trajectory(recording: Recording, topic: TopicInfo, config: RunConfig) -> Trajectory:
-    return read_trajectory(recording, topic, read_static_tree(recording), "", config)[1]
+def _trajectory(recording: Recording, choice: TopicChoice, config: RunConfig) -> Trajectory:
+    return read_poses(recording, choice, read_static_tree(recording), "", config).trajectory
 
 
 def _choice_summary(choice: TopicChoice | None, problem: str) -> TopicChoiceSummary:
@@ -349,12 +366,33 @@ def _rpy_deg(rotation: FloatArray) -> tuple[float, float, float]:
     return degrees[0], degrees[1], degrees[2]
 
 
-def _cloud_stamps(recording: Recording, topic: TopicInfo, config: RunConfig) -> NDArray[np.int64]:
-    stamps: list[int] = []
-    for raw in recording.topic_messages(topic):
+@dataclass(frozen=True, eq=False)
+class _CloudStamps:
+    """Stamps of the selected clouds in order of the file, and of the headers before any choice."""
+
+    used_ns: NDArray[np.int64]
+    headers_ns: list[int]
+    log_times_ns: list[int]
+
+
+def _cloud_stamps(recording: Recording, topic: TopicInfo, config: RunConfig) -> _CloudStamps:
+    """Read the stamps of the selected clouds: out of the bytes where their place is known."""
+    used: list[int] = []
+    headers: list[int] = []
+    logged: list[int] = []
+    is_known = topic.msgtype in HEADER_FIRST
+    encoding = recording.encoding_of(topic.msgtype)
+    selection = Selection.of(config.recording, recording)
+    for _, raw in selection.pick(recording.topic_messages(topic)):
         with suppress(UndecodableMessageError):
-            stamps.append(cloud_stamp_ns(recording.read(raw, read_header), raw, config))
-    return np.array(stamps, dtype=np.int64)
+            if is_known and is_templated(raw.data, encoding) and len(raw.data) >= HEADER_BYTES:
+                stamp_ns = header_stamp_ns(raw.data)
+            else:
+                stamp_ns = recording.read(raw, read_header).stamp_ns
+            headers.append(stamp_ns)
+            logged.append(raw.log_time_ns)
+            used.append(cloud_stamp_ns(stamp_ns, raw.log_time_ns, config))
+    return _CloudStamps(np.array(used, dtype=np.int64), headers, logged)
 
 
 def _stamp_summary(stamps_ns: NDArray[np.int64]) -> StampSummary:
@@ -376,8 +414,7 @@ def _match_summary(
     if cloud_stamps is None or trajectory is None or len(cloud_stamps) == 0:
         return None
     poses = trajectory.stamps_ns
-    nearest = [int(poses[nearest_index(poses, int(stamp))]) for stamp in cloud_stamps]
-    gaps_ns = np.abs(cloud_stamps - np.array(nearest, dtype=np.int64))
+    gaps_ns = nearest_gaps(poses, cloud_stamps)
     max_gap_s = config.matching.max_gap_s
     return MatchSummary(
         share_within_gap=float(np.mean(gaps_ns <= seconds_to_ns(max_gap_s))),
@@ -387,19 +424,29 @@ def _match_summary(
     )
 
 
-def _layout(message: CloudMessage) -> CloudLayout:
-    cloud = read_cloud(message)
+def _first_cloud(recording: Recording, topic: TopicInfo, config: RunConfig) -> CloudLayout | None:
+    reader = CloudReader(recording, topic, config.sensor)
+    for raw in recording.topic_messages(topic):
+        with suppress(UndecodableMessageError):
+            cloud = reader.read(raw)
+            return recording.read(raw, partial(_layout, cloud=cloud))
+    return None
+
+
+def _layout(message: Any, cloud: Cloud) -> CloudLayout:
+    if hasattr(message, "point_stride"):
+        message = packed_cloud(message)
     n_returns = int(np.isfinite(cloud.points).all(axis=1).sum())
     return CloudLayout(
-        frame_id=message.header.frame_id,
+        frame_id=read_header(message).frame,
         width=cloud.width,
         height=cloud.height,
-        point_step=int(message.point_step),
-        row_step=int(message.row_step),
-        big_endian=bool(message.is_bigendian),
+        point_step=int(getattr(message, "point_step", 0)),
+        row_step=int(getattr(message, "row_step", 0)),
+        big_endian=bool(getattr(message, "is_bigendian", False)),
         fields=tuple(
             FieldLayout(field.name, _field_type(field.datatype), int(field.offset))
-            for field in message.fields
+            for field in getattr(message, "fields", ())
         ),
         n_returns=None if cloud.problem else n_returns,
         problem=cloud.problem,
@@ -407,5 +454,4 @@ def _layout(message: CloudMessage) -> CloudLayout:
 
 
 def _field_type(code: int) -> str:
-    known = 0 < code < len(_FIELD_TYPES)
-    return _FIELD_TYPES[code] if known else f"type {code}"
+    return FIELD_TYPES.get(code, f"type {code}")

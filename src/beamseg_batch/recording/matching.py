@@ -20,6 +20,7 @@ __all__ = [
     "PoseMatch",
     "interpolated_pose",
     "match_pose",
+    "nearest_gaps",
     "nearest_index",
     "pose_at",
     "seconds_to_ns",
@@ -88,6 +89,29 @@ def nearest_index(stamps_ns: NDArray[np.int64], stamp_ns: int) -> int:
     to_earlier = stamp_ns - int(stamps_ns[after - 1])
     to_later = int(stamps_ns[after]) - stamp_ns
     return after - 1 if to_earlier <= to_later else after
+
+
+def nearest_gaps(
+    pose_stamps_ns: NDArray[np.int64], stamps_ns: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Time from each stamp to the nearest of others.
+
+    Parameters
+    ----------
+    pose_stamps_ns : (N,) int64
+        Increasing, at least one.
+    stamps_ns : (M,) int64
+
+    Returns
+    -------
+    (M,) int64, nanoseconds, never negative
+    """
+    after = np.searchsorted(pose_stamps_ns, stamps_ns)
+    last = len(pose_stamps_ns) - 1
+    to_later = np.abs(pose_stamps_ns[np.minimum(after, last)] - stamps_ns)
+    to_earlier = np.abs(stamps_ns - pose_stamps_ns[np.maximum(after - 1, 0)])
+    gaps: NDArray[np.int64] = np.minimum(to_later, to_earlier)
+    return gaps
 
 
 def pose_at(trajectory: Trajectory, index: int) -> RigidTransform:

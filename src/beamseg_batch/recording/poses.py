@@ -13,20 +13,26 @@ from numpy.typing import NDArray
 
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import Trajectory
+from beamseg_batch.recording.clocks import clock_notes
+from beamseg_batch.recording.clouds import read_header, stamp_ns_of
 from beamseg_batch.recording.codec import UndecodableMessageError
 from beamseg_batch.recording.containers import RawMessage
 from beamseg_batch.recording.matching import within_int64
+from beamseg_batch.recording.px4 import ATTITUDE, LOCAL_POSITION, ODOMETRY, px4_values, sample_ns
 from beamseg_batch.recording.source import Recording, TopicInfo
 from beamseg_batch.recording.templates import PoseTemplate, pose_values_at
 
 __all__ = [
     "Edge",
+    "EdgeKind",
     "PoseRecord",
     "PoseTrack",
     "pose_parser",
     "read_edges",
     "read_tracks",
     "usable_poses",
+    "xyz",
+    "xyzw",
 ]
 
 _SHORTEST_QUATERNION = 1e-9
@@ -54,48 +60,86 @@ class PoseRecord(NamedTuple):
     values: tuple[float, float, float, float, float, float, float]
 
 
+class EdgeKind(NamedTuple):
+    """The first pose of an edge, and whether another one differs from it."""
+
+    first: tuple[float, float, float, float, float, float, float]
+    moves: bool = False
+
+
 PoseParser: TypeAlias = Callable[[RawMessage], Collection[PoseRecord]]
 
 
-def _record(header: Any, child: str, position: Any, rotation: Any) -> PoseRecord:
-    stamp = header.stamp
-    return PoseRecord(
-        stamp.sec * 1_000_000_000 + stamp.nanosec,
-        # tf of ROS 1 wrote frame names with a leading slash, tf2 without.
-        (header.frame_id.lstrip("/"), child.lstrip("/")),
-        (
-            position.x, position.y, position.z,
-            rotation.x, rotation.y, rotation.z, rotation.w,
-        ),
-    )  # fmt: skip
+def xyz(vector: Any) -> tuple[float, float, float]:
+    """Coordinates of a point or vector message."""
+    return vector.x, vector.y, vector.z
+
+
+def xyzw(quaternion: Any) -> tuple[float, float, float, float]:
+    """Coordinates of a quaternion message."""
+    return quaternion.x, quaternion.y, quaternion.z, quaternion.w
+
+
+def _record(message: Any, child: str, position: Any, rotation: Any) -> PoseRecord:
+    # tf of ROS 1 wrote frame names with a leading slash, tf2 without.
+    frame, stamp_ns = read_header(message)
+    return PoseRecord(stamp_ns, (frame, child.lstrip("/")), (*xyz(position), *xyzw(rotation)))
 
 
 def _from_pose(message: Any) -> tuple[PoseRecord]:
     pose = message.pose
-    return (_record(message.header, "", pose.position, pose.orientation),)
+    return (_record(message, "", pose.position, pose.orientation),)
+
+
+def _from_poses(message: Any) -> list[PoseRecord]:
+    """Poses of one moment: with several of them, the child frames tell which is which."""
+    several = len(message.poses) > 1
+    return [
+        _record(message, f"pose {k}" if several else "", pose.position, pose.orientation)
+        for k, pose in enumerate(message.poses)
+    ]
 
 
 def _from_pose_with_covariance(message: Any) -> tuple[PoseRecord]:
     pose = message.pose.pose
-    return (_record(message.header, "", pose.position, pose.orientation),)
+    return (_record(message, "", pose.position, pose.orientation),)
 
 
 def _from_odometry(message: Any) -> tuple[PoseRecord]:
     pose = message.pose.pose
-    return (_record(message.header, message.child_frame_id, pose.position, pose.orientation),)
+    return (_record(message, message.child_frame_id, pose.position, pose.orientation),)
 
 
 def _from_transform(message: Any) -> tuple[PoseRecord]:
     transform = message.transform
-    return (
-        _record(message.header, message.child_frame_id, transform.translation, transform.rotation),
-    )
+    child = message.child_frame_id
+    return (_record(message, child, transform.translation, transform.rotation),)
 
 
 def _from_transforms(message: Any) -> list[PoseRecord]:
     return [record for transform in message.transforms for record in _from_transform(transform)]
 
 
+def _from_frame_transform(message: Any) -> tuple[PoseRecord]:
+    edge = message.parent_frame_id.lstrip("/"), message.child_frame_id.lstrip("/")
+    values = (*xyz(message.translation), *xyzw(message.rotation))
+    return (PoseRecord(stamp_ns_of(message.timestamp), edge, values),)
+
+
+def _from_frame_transforms(message: Any) -> list[PoseRecord]:
+    return [record for each in message.transforms for record in _from_frame_transform(each)]
+
+
+def _from_px4(message: Any) -> tuple[PoseRecord]:
+    return (PoseRecord(sample_ns(message), ("", ""), px4_values(message)),)
+
+
+_FOXGLOVE_EXTRACTORS: Mapping[str, Callable[[Any], Collection[PoseRecord]]] = {
+    "PoseInFrame": _from_pose,
+    "PosesInFrame": _from_poses,
+    "FrameTransform": _from_frame_transform,
+    "FrameTransforms": _from_frame_transforms,
+}
 _EXTRACTORS: Mapping[str, Callable[[Any], Collection[PoseRecord]]] = {
     "geometry_msgs/msg/PoseStamped": _from_pose,
     "geometry_msgs/msg/PoseWithCovarianceStamped": _from_pose_with_covariance,
@@ -103,6 +147,9 @@ _EXTRACTORS: Mapping[str, Callable[[Any], Collection[PoseRecord]]] = {
     "nav_msgs/msg/Odometry": _from_odometry,
     "tf2_msgs/msg/TFMessage": _from_transforms,
     "tf/msg/tfMessage": _from_transforms,
+    **{f"foxglove.{name}": extract for name, extract in _FOXGLOVE_EXTRACTORS.items()},
+    **{f"foxglove_msgs/msg/{name}": extract for name, extract in _FOXGLOVE_EXTRACTORS.items()},
+    **dict.fromkeys((ODOMETRY, LOCAL_POSITION, ATTITUDE), _from_px4),
 }
 
 
@@ -136,7 +183,9 @@ class PoseTrack:
     Attributes
     ----------
     edge : Edge
-    stamps_ns : array of int64
+    from_log : bool
+        Whether the log times are taken whatever the headers say.
+    stamps_ns, log_times_ns : array of int64
         In order of the file.
     values : array of float64
         Seven per pose, as in `PoseRecord`.
@@ -145,26 +194,34 @@ class PoseTrack:
     """
 
     edge: Edge
+    from_log: bool = False
     stamps_ns: array[int] = field(default_factory=lambda: array("q"))
+    log_times_ns: array[int] = field(default_factory=lambda: array("q"))
     values: array[float] = field(default_factory=lambda: array("d"))
     n_log_times: int = 0
 
     def add(self, record: PoseRecord, log_time_ns: int) -> None:
         """Append a pose."""
-        if record.stamp_ns == 0:
+        if record.stamp_ns == 0 and not self.from_log:
             self.n_log_times += 1
-        self.stamps_ns.append(within_int64(record.stamp_ns or log_time_ns))
+        stamp_ns = log_time_ns if self.from_log else record.stamp_ns or log_time_ns
+        self.stamps_ns.append(within_int64(stamp_ns))
+        self.log_times_ns.append(within_int64(log_time_ns))
         self.values.extend(record.values)
 
     def add_many(
         self, stamps_ns: NDArray[np.int64], values: FloatArray, log_times_ns: Sequence[int]
     ) -> None:
         """Append poses in order of the file."""
+        logged = np.array(log_times_ns, np.int64)
         unset = stamps_ns == 0
-        if unset.any():
+        if self.from_log:
+            stamps_ns = logged
+        elif unset.any():
             self.n_log_times += int(unset.sum())
-            stamps_ns = np.where(unset, np.array(log_times_ns, np.int64), stamps_ns)
+            stamps_ns = np.where(unset, logged, stamps_ns)
         self.stamps_ns.frombytes(stamps_ns.tobytes())
+        self.log_times_ns.frombytes(logged.tobytes())
         self.values.frombytes(values.tobytes())
 
     def trajectory(self) -> tuple[Trajectory, list[str]]:
@@ -186,7 +243,8 @@ class PoseTrack:
         values = values[first]
         lengths = np.linalg.norm(values[:, 3:], axis=1, keepdims=True)
         trajectory = Trajectory(unique, values[:, :3].copy(), values[:, 3:] / lengths)
-        return trajectory, self._notes(len(usable), len(stamps), len(unique))
+        notes = self._notes(len(usable), len(stamps), len(unique))
+        return trajectory, notes + clock_notes("poses", self.stamps_ns, self.log_times_ns)
 
     def _notes(self, n_read: int, n_usable: int, n_unique: int) -> list[str]:
         notes = []
@@ -227,7 +285,11 @@ def usable_poses(values: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def read_tracks(
-    recording: Recording, topic: TopicInfo, wanted: Edge | None = None
+    recording: Recording,
+    topic: TopicInfo,
+    wanted: Collection[Edge] | None = None,
+    *,
+    from_log: bool = False,
 ) -> tuple[dict[Edge, PoseTrack], list[str]]:
     """Read every pose of a topic.
 
@@ -236,8 +298,10 @@ def read_tracks(
     recording : Recording
     topic : TopicInfo
         Of one of the pose types.
-    wanted : Edge, optional
-        Keep only the poses of this child frame in this parent frame.
+    wanted : collection of Edge, optional
+        Keep only the poses of these child frames in these parent frames.
+    from_log : bool, optional
+        Take the log times for the stamps.
 
     Returns
     -------
@@ -250,20 +314,34 @@ def read_tracks(
     RecordingError
         If the file cannot be read to its end.
     """
-    tracks: dict[Edge, PoseTrack] = {}
+    tracks = _Tracks(wanted, from_log)
     undecodable: list[str] = []
     messages = recording.topic_messages(topic)
     template: PoseTemplate | None = None
     while batch := list(islice(messages, _BATCH)):
         template = template or _template(recording, batch[0])
         if template is None or not _add_batch(tracks, recording, template, batch):
-            _add_each(tracks, recording, batch, wanted, undecodable)
+            _add_each(tracks, recording, batch, undecodable)
     if not undecodable:
-        return tracks, []
+        return tracks.by_edge, []
     plural = "" if len(undecodable) == 1 else "s"
-    return tracks, [
+    return tracks.by_edge, [
         f"{len(undecodable)} message{plural} of {topic.name} left out: {undecodable[0]}"
     ]
+
+
+class _Tracks:
+    """Tracks by their edge, made when the first pose of one comes."""
+
+    def __init__(self, wanted: Collection[Edge] | None, from_log: bool) -> None:
+        self.by_edge: dict[Edge, PoseTrack] = {}
+        self._wanted = wanted
+        self._from_log = from_log
+
+    def of(self, edge: Edge) -> PoseTrack | None:
+        if self._wanted is not None and edge not in self._wanted:
+            return None
+        return self.by_edge.setdefault(edge, PoseTrack(edge, self._from_log))
 
 
 def _template(recording: Recording, raw: RawMessage) -> PoseTemplate | None:
@@ -284,7 +362,7 @@ def _template(recording: Recording, raw: RawMessage) -> PoseTemplate | None:
 
 
 def _add_batch(
-    tracks: dict[Edge, PoseTrack],
+    tracks: _Tracks,
     recording: Recording,
     template: PoseTemplate,
     batch: Sequence[RawMessage],
@@ -294,26 +372,26 @@ def _add_batch(
     if parsed is None:
         return False
     (record,) = pose_parser(recording, batch[0].msgtype)(batch[0])
-    track = tracks.setdefault(record.edge, PoseTrack(record.edge))
-    track.add_many(*parsed, [raw.log_time_ns for raw in batch])
+    track = tracks.of(record.edge)
+    if track is not None:
+        track.add_many(*parsed, [raw.log_time_ns for raw in batch])
     return True
 
 
 def _add_each(
-    tracks: dict[Edge, PoseTrack],
+    tracks: _Tracks,
     recording: Recording,
     batch: Sequence[RawMessage],
-    wanted: Edge | None,
     undecodable: list[str],
 ) -> None:
     for log_time_ns, records in _parsed(recording, batch, undecodable):
         for record in records:
-            if wanted is None or record.edge == wanted:
-                track = tracks.setdefault(record.edge, PoseTrack(record.edge))
+            track = tracks.of(record.edge)
+            if track is not None:
                 track.add(record, log_time_ns)
 
 
-def read_edges(recording: Recording, topic: TopicInfo) -> list[Edge]:
+def read_edges(recording: Recording, topic: TopicInfo) -> dict[Edge, EdgeKind]:
     """List whose poses a topic holds, without keeping them.
 
     Parameters
@@ -324,7 +402,7 @@ def read_edges(recording: Recording, topic: TopicInfo) -> list[Edge]:
 
     Returns
     -------
-    list of Edge
+    dict of Edge to EdgeKind
         In order of first appearance.
 
     Raises
@@ -332,8 +410,13 @@ def read_edges(recording: Recording, topic: TopicInfo) -> list[Edge]:
     RecordingError
         If the file cannot be read to its end.
     """
-    parsed = _parsed(recording, recording.topic_messages(topic), [])
-    return list(dict.fromkeys(record.edge for _, records in parsed for record in records))
+    kinds: dict[Edge, EdgeKind] = {}
+    for _, records in _parsed(recording, recording.topic_messages(topic), []):
+        for _, edge, values in records:
+            kind = kinds.setdefault(edge, EdgeKind(values))
+            if not kind.moves and kind.first != values:
+                kinds[edge] = kind._replace(moves=True)
+    return kinds
 
 
 def _parsed(

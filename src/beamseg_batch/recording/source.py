@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 import hashlib
-import heapq
 import os
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
+from beamseg_batch.config import RecordingConfig
 from beamseg_batch.errors import DuplicateRecordingError, RecordingError
-from beamseg_batch.recording.codec import Definition, MessageCodec
-from beamseg_batch.recording.containers import (
+from beamseg_batch.recording.codec import CDR, Definition, MessageCodec
+from beamseg_batch.recording.container import (
     Channel,
     Container,
-    ContainerIndex,
+    Damage,
+    DamageLog,
     RawMessage,
-    open_containers,
+    ReadLimits,
+    told,
 )
+from beamseg_batch.recording.container_zstd import uncompressed
+from beamseg_batch.recording.containers import open_containers
+from beamseg_batch.recording.merging import Part, in_time_order, readable_parts
 
 __all__ = ["AnyPath", "Recording", "TopicInfo", "open_recording"]
 
@@ -66,12 +71,15 @@ class Recording:
     def __init__(
         self,
         paths: Sequence[Path],
-        containers: Sequence[Container],
-        indexes: Sequence[ContainerIndex],
+        parts: Sequence[Part],
+        damage: DamageLog,
+        limits: ReadLimits,
     ) -> None:
         self.paths = tuple(paths)
-        self._containers = tuple(containers)
-        self._indexes = tuple(indexes)
+        self._containers = tuple(container for container, _ in parts)
+        self._indexes = tuple(index for _, index in parts)
+        self._damage = damage
+        self._limits = limits
         self._codec = MessageCodec(_definitions(self._channels()))
         self._held_topics: frozenset[str] = frozenset()
         self._held: list[RawMessage] = []
@@ -90,6 +98,22 @@ class Recording:
         pairs = zip(self._containers, self._indexes, strict=True)
         labels = dict.fromkeys(container.label(index) for container, index in pairs)
         return " + ".join(labels)
+
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        """Damage found so far; what lies inside of chunks is found when it is read."""
+        inside = (place for container in self._containers for place in container.damage)
+        return (*self._damage.places, *inside)
+
+    @property
+    def damage_places(self) -> tuple[str, ...]:
+        """The damage for people, one sentence per place."""
+        return tuple(f"{place.path}: {place}" for place in self.damage)
+
+    @property
+    def damage_notes(self) -> tuple[str, ...]:
+        """The damage for people, one sentence per file."""
+        return tuple(told(self.damage))
 
     @cached_property
     def topics(self) -> tuple[TopicInfo, ...]:
@@ -169,22 +193,31 @@ class Recording:
         ----------
         topics : collection of str
         """
-        if self.size_bytes > _MOST_HELD_BYTES:
+        if sum(index.content_bytes for index in self._indexes) > _MOST_HELD_BYTES:
             return
         names, held, size = frozenset(topics), [], 0
         with suppress(RecordingError):  # whoever reads that far is told
             for raw in self._stream(names):
                 size += len(raw.data)
-                if size > _MOST_HELD_BYTES:
+                if size > _MOST_HELD_BYTES:  # messages may be compressed one by one
                     return
                 held.append(raw)
             self._held_topics, self._held = names, held
 
     def _stream(self, names: frozenset[str]) -> Iterator[RawMessage]:
-        streams = [container.messages(names) for container in self._containers]
-        if len(streams) == 1:
-            return streams[0]
-        return heapq.merge(*streams, key=lambda message: message.log_time_ns)
+        parts = list(zip(self._indexes, self._containers, strict=True))
+        stream = (
+            parts[0][1].messages(names)
+            if len(parts) == 1
+            else in_time_order([(index.start_ns, partial(c.messages, names)) for index, c in parts])
+        )
+        if any(channel.definition.encoding == CDR for channel in self._channels()):
+            return map(self._uncompressed, stream)
+        return stream
+
+    def _uncompressed(self, raw: RawMessage) -> RawMessage:
+        data = uncompressed(raw.data, self._limits.max_chunk_bytes)
+        return raw if data is raw.data else raw._replace(data=data)
 
     def topic_messages(self, topic: TopicInfo) -> Iterator[RawMessage]:
         """Stream the messages of one topic that have its type: a name may stand for several.
@@ -230,14 +263,18 @@ class Recording:
         return self._codec.read(raw.data, raw.msgtype, extract)
 
 
-def open_recording(path_or_paths: AnyPath | Sequence[AnyPath]) -> Recording:
+def open_recording(
+    path_or_paths: AnyPath | Sequence[AnyPath], config: RecordingConfig | None = None
+) -> Recording:
     """Open a recorded flight.
 
     Parameters
     ----------
     path_or_paths : path, or sequence of paths
-        ROS 1 bag, ROS 2 bag folder or storage file, or MCAP; several paths are read
-        as one recording, in order of log time.
+        ROS 1 bag, ROS 2 bag folder or storage file, or MCAP, or a folder of these;
+        several paths are read as one recording, in order of log time.
+    config : RecordingConfig, optional
+        Whether damage is tolerated, and how large a chunk may be.
 
     Returns
     -------
@@ -248,31 +285,46 @@ def open_recording(path_or_paths: AnyPath | Sequence[AnyPath]) -> Recording:
     RecordingNotFoundError
         If a path does not exist.
     DuplicateRecordingError
-        If a path is given twice.
+        If a file is given twice.
     RecordingError
-        If a file is not a recording, cannot be read, or if no file holds a message.
+        If no file can be read or holds a message, or if one is damaged and
+        ``recording.strict`` is set.
     """
+    config = config or RecordingConfig()
+    limits = ReadLimits(config.strict, config.max_chunk_mb << 20)
+    damage = DamageLog(limits.strict)
     given = [path_or_paths] if isinstance(path_or_paths, str | PathLike) else path_or_paths
     paths = [Path(path) for path in given]
     if not paths:
         raise RecordingError("no path of a recording was given")
-    _refuse_twice(paths)
-    containers = [container for path in paths for container in open_containers(path)]
-    indexes = [container.index() for container in containers]
-    if not any(index.count for index in indexes):
-        raise RecordingError(f"{', '.join(map(str, paths))}: the recording holds no messages")
-    return Recording(paths, containers, indexes)
+    containers = [c for path in paths for c in open_containers(path, limits, damage)]
+    _refuse_twice(containers)
+    parts = readable_parts(containers, damage)
+    recording = Recording(paths, parts, damage, limits)
+    if not any(index.count for _, index in parts):
+        raise RecordingError(_why_empty(recording))
+    return recording
 
 
-def _refuse_twice(paths: Sequence[Path]) -> None:
+def _why_empty(recording: Recording) -> str:
+    if not recording.damage:
+        return f"{recording.name}: the recording holds no messages"
+    return (
+        f"{recording.name}: not one message can be read; it seems to be a damaged "
+        f"{recording.container} of {recording.size_bytes} bytes: {recording.damage[0]}"
+    )
+
+
+def _refuse_twice(containers: Sequence[Container]) -> None:
     """A file read twice would count every scan twice."""
-    seen: dict[str, Path] = {}
-    for path in paths:
-        first = seen.setdefault(os.path.realpath(path), path)
-        if first is not path:
+    seen: set[str] = set()
+    for file in (file for container in containers for file in container.files()):
+        real = os.path.realpath(file)
+        if real in seen:
             raise DuplicateRecordingError(
-                f"{path}: is given twice; name each part of a flight once"
+                f"{file}: is given twice; name each part of a flight once"
             )
+        seen.add(real)
 
 
 def _definitions(channels: Sequence[Channel]) -> dict[str, Definition]:

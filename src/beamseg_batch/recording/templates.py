@@ -20,6 +20,7 @@ from beamseg_batch.recording.clouds import (
     Cloud,
     CloudHeader,
     CloudMessage,
+    Confidence,
     PointLayout,
     point_layout,
     read_header,
@@ -27,6 +28,8 @@ from beamseg_batch.recording.clouds import (
 from beamseg_batch.recording.codec import CDR, ROS1
 
 __all__ = [
+    "HEADER_BYTES",
+    "HEADER_FIRST",
     "STAMP_AT",
     "CloudTemplate",
     "PoseTemplate",
@@ -38,6 +41,15 @@ __all__ = [
 
 STAMP_AT = 4
 """Where a header's stamp lies: behind the CDR preamble, or behind the ROS 1 sequence number."""
+
+HEADER_BYTES = 12
+"""Fewest bytes of a message with a header: up to the end of its stamp."""
+HEADER_FIRST = (
+    "sensor_msgs/msg/PointCloud2",
+    "sensor_msgs/msg/PointCloud",
+    "sensor_msgs/msg/Image",
+)
+"""Types of clouds that begin with a header."""
 
 _STAMP_BYTES = 8
 _VALUES_BYTES = 56
@@ -190,7 +202,9 @@ class CloudTemplate:
         return Cloud(header, self.layout.width, self.layout.height, self.layout.points(data))
 
 
-def cloud_template(raw: bytes, message: CloudMessage, encoding: str) -> CloudTemplate | None:
+def cloud_template(
+    raw: bytes, message: CloudMessage, encoding: str, confidence: Confidence | None = None
+) -> CloudTemplate | None:
     """Make a template of a decoded cloud.
 
     Parameters
@@ -200,6 +214,8 @@ def cloud_template(raw: bytes, message: CloudMessage, encoding: str) -> CloudTem
         The same, decoded.
     encoding : str
         `ROS1` or `CDR`.
+    confidence : Confidence, optional
+        Which points are believed.
 
     Returns
     -------
@@ -214,6 +230,7 @@ def cloud_template(raw: bytes, message: CloudMessage, encoding: str) -> CloudTem
     if header.stamp_ns != header_stamp_ns(raw) or not np.array_equal(found, data):
         return None
     try:
-        return CloudTemplate(raw, data_at, len(data), header.frame, point_layout(message))
+        layout = point_layout(message, confidence)
+        return CloudTemplate(raw, data_at, len(data), header.frame, layout)
     except BadCloudError:
         return None

@@ -6,6 +6,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from beamseg_batch.errors import AmbiguousTopicError, TopicError
+from beamseg_batch.recording.depth import IMAGE, is_depth_topic
+from beamseg_batch.recording.other_clouds import FOXGLOVE_CLOUDS
+from beamseg_batch.recording.px4 import LOCAL_POSITION, ODOMETRY
 from beamseg_batch.recording.source import Recording, TopicInfo
 
 __all__ = [
@@ -18,7 +21,14 @@ __all__ = [
     "is_static_tf",
 ]
 
-TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+TF_TYPES = (
+    "tf2_msgs/msg/TFMessage",
+    "tf/msg/tfMessage",
+    "foxglove.FrameTransform",
+    "foxglove.FrameTransforms",
+    "foxglove_msgs/msg/FrameTransform",
+    "foxglove_msgs/msg/FrameTransforms",
+)
 """Message types of a transform tree."""
 
 
@@ -32,31 +42,51 @@ class TopicRole:
         ``cloud`` or ``pose``; names the option and the configuration key.
     default : str
         Topic that is taken when it is there.
-    msgtypes, last_resort : tuple of str
-        Types that fit, and types that fit when no topic of those is there.
+    tiers : tuple of tuple of str
+        Types that fit; those of a later tier when no topic of an earlier one is there.
     """
 
     word: str
     default: str
-    msgtypes: tuple[str, ...]
-    last_resort: tuple[str, ...] = ()
+    tiers: tuple[tuple[str, ...], ...]
+
+    @property
+    def msgtypes(self) -> tuple[str, ...]:
+        """All types that fit."""
+        return tuple(msgtype for tier in self.tiers for msgtype in tier)
 
     def fits(self, topic: TopicInfo) -> bool:
         """Whether a topic's type can play the role."""
-        return topic.msgtype in (*self.msgtypes, *self.last_resort) and not is_static_tf(topic)
+        return topic.msgtype in self.msgtypes and not is_static_tf(topic)
 
 
-CLOUDS = TopicRole("cloud", "/tof_pc", ("sensor_msgs/msg/PointCloud2",))
+CLOUDS = TopicRole(
+    "cloud",
+    "/tof_pc",
+    (
+        ("sensor_msgs/msg/PointCloud2", *FOXGLOVE_CLOUDS),
+        ("sensor_msgs/msg/PointCloud",),
+        (IMAGE,),
+    ),
+)
 POSES = TopicRole(
     "pose",
     "/mavros/local_position/pose",
     (
-        "geometry_msgs/msg/PoseStamped",
-        "geometry_msgs/msg/PoseWithCovarianceStamped",
-        "geometry_msgs/msg/TransformStamped",
-        "nav_msgs/msg/Odometry",
+        (
+            "geometry_msgs/msg/PoseStamped",
+            "geometry_msgs/msg/PoseWithCovarianceStamped",
+            "geometry_msgs/msg/TransformStamped",
+            "nav_msgs/msg/Odometry",
+            "foxglove.PoseInFrame",
+            "foxglove.PosesInFrame",
+            "foxglove_msgs/msg/PoseInFrame",
+            "foxglove_msgs/msg/PosesInFrame",
+        ),
+        (ODOMETRY,),
+        (LOCAL_POSITION,),
+        TF_TYPES,
     ),
-    TF_TYPES,
 )
 
 
@@ -116,7 +146,7 @@ def choose_topic(recording: Recording, role: TopicRole, named: str | None) -> To
     if not candidates:
         raise TopicError(
             f"{recording.name}: no {role.word} topic, that is, none of type "
-            f"{_either((*role.msgtypes, *role.last_resort))}; "
+            f"{_either(_for_people(role.msgtypes))}; "
             f"its topics: {_listed(recording.topics)}"
         )
     if len(candidates) > 1:
@@ -130,9 +160,18 @@ def choose_topic(recording: Recording, role: TopicRole, named: str | None) -> To
 
 
 def _candidates(recording: Recording, role: TopicRole) -> list[TopicInfo]:
+    """Topics of the first tier that is there; of images only those of depths."""
     fitting = [topic for topic in recording.topics if role.fits(topic) and topic.count]
-    first = [topic for topic in fitting if topic.msgtype in role.msgtypes]
-    return first or fitting
+    for tier in role.tiers:
+        there = [
+            topic
+            for topic in fitting
+            if topic.msgtype in tier
+            and (topic.msgtype != IMAGE or is_depth_topic(recording, topic))
+        ]
+        if there:
+            return there
+    return []
 
 
 def _named_topic(recording: Recording, role: TopicRole, named: str) -> TopicInfo:
@@ -158,6 +197,11 @@ def _named_topic(recording: Recording, role: TopicRole, named: str) -> TopicInfo
 def _same_name(name: str, other: str) -> bool:
     """ROS 1 logs may leave out the leading slash."""
     return name.lstrip("/") == other.lstrip("/")
+
+
+def _for_people(msgtypes: tuple[str, ...]) -> tuple[str, ...]:
+    """Leave out the names under which ROS carries types of Foxglove's."""
+    return tuple(name for name in msgtypes if not name.startswith("foxglove_msgs/"))
 
 
 def _either(words: tuple[str, ...]) -> str:
