@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 from beamseg_batch.errors import TruthError
-from beamseg_batch.evaluation import load_truth
-from tests.evaluation.structures import scattered, truth_of, write_truth
+from beamseg_batch.evaluation import evaluate, load_truth
+from tests.evaluation.structures import result_of, scattered, truth_of, write_truth
 
 TRUTHS = Path(__file__).parents[1] / "data" / "truths"
 SAMPLES = Path(__file__).parents[2] / "data" / "samples"
@@ -98,8 +98,15 @@ def test_load_truth__webots_world_has_the_axes_of_the_flight():
 def test_load_truth__world_without_members(tmp_path):
     world = tmp_path / "empty.wbt"
     world.write_text("#VRML_SIM R2021b utf8\nWorldInfo {\n}\n")
-    with pytest.raises(TruthError, match="has no member with a known axis"):
-        load_truth(world)
+    assert load_truth(world).names == ()
+
+
+def test_evaluate__where_no_member_stands_every_segment_is_false(tmp_path):
+    truth = load_truth(write_truth(tmp_path / "t.csv", truth_of(scattered(0))))
+    measured = evaluate(truth, result_of(scattered(2)))
+    assert measured.metrics["false"] == 2
+    assert measured.metrics["precision"] == 0.0
+    assert measured.metrics["recall"] is None
 
 
 # Tables
@@ -161,7 +168,6 @@ def test_load_truth__joints_file_comes_before_the_axes(tmp_path):
 @pytest.mark.parametrize(
     ("rows", "reason"),
     [
-        ([], "has no member"),
         (["1,0,0,0,1,0,0,0.05", "2,0,0,nan,1,0,0,0.05"], "row 2: z1 is nan, not a number"),
         (["1,0,0,0,1,0,0,"], "row 1: radius is nan, not a number"),
         (["1,0,0,0,1,0,inf,0.05"], "row 1: z2 is inf"),

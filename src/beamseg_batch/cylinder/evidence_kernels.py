@@ -23,8 +23,8 @@ FINE = 0.004
 COARSE = 0.02
 """Length of a bin of the normal equations along an axis, metres."""
 
-NORMAL_COLUMNS = 18
-"""Ten products of the derivatives, four with the residual, its square, rays, weight, all hits."""
+NORMAL_COLUMNS = 16
+"""Nine products of the derivatives, four with the residual, its square, rays, weight."""
 
 _GATE = 4.0  # a residual of so many sigmas is still explained
 _THROUGH = -4.0  # log-likelihood ratio of a ray that saw through
@@ -152,7 +152,7 @@ def gather(
         First bin of each beam.
     likelihood, hits : (F,) float64
         Sums by fine bin, added to: log-likelihood ratio, rays explained.
-    normal : (C, 18) float64
+    normal : (C, 16) float64
         Sums by coarse bin, added to.
     scans : (M,) int64
         Added to where at least three rays are explained by the beam alone.
@@ -205,7 +205,11 @@ def gather(
             if width > 0:
                 columns = column_last - column_first
                 k = (row_first + pixel // columns) * width + column_first + pixel % columns
-            wx, wy, wz = float(points[k, 0]), float(points[k, 1]), float(points[k, 2])
+            wx, wy, wz = (
+                np.float64(points[k, 0]),
+                np.float64(points[k, 1]),
+                np.float64(points[k, 2]),
+            )
             depth = np.sqrt(wx * wx + wy * wy + wz * wz)
             if np.isfinite(depth) and depth > 0.0:
                 wx, wy, wz = wx / depth, wy / depth, wz / depth
@@ -287,7 +291,8 @@ def gather(
             hidden = entry >= before
             if e < -_GATE or (hidden and e > _GATE):
                 continue
-            fine = fine_at[j] + int((s - starts[j]) / FINE)
+            # A place just before the end may round up to it.
+            fine = min(fine_at[j] + int((s - starts[j]) / FINE), fine_at[j + 1] - 1)
             if e > _GATE:
                 if side[this] < _EDGE:
                     likelihood[fine] += _THROUGH
@@ -316,7 +321,8 @@ def gather(
             scale = 1.0 / sigmas[this]
             u = (nx * us[j, 0] + ny * us[j, 1] + nz * us[j, 2]) / incidence * scale
             v = (nx * vs[j, 0] + ny * vs[j, 1] + nz * vs[j, 2]) / incidence * scale
-            row = normal[coarse_at[j] + int((s - starts[j]) / COARSE)]
+            coarse = min(coarse_at[j] + int((s - starts[j]) / COARSE), coarse_at[j + 1] - 1)
+            row = normal[coarse]
             su, sv = s * u, s * v
             row[0] += weight * u * u
             row[1] += weight * u * v
@@ -327,14 +333,13 @@ def gather(
             row[6] += weight * su * su
             row[7] += weight * su * sv
             row[8] += weight * sv * sv
-            row[10] += weight * u * e
-            row[11] += weight * v * e
-            row[12] += weight * su * e
-            row[13] += weight * sv * e
-            row[14] += weight * e * e
-            row[15] += 1.0
-            row[16] += weight
-            row[17] += incidence * scale * e * weight
+            row[9] += weight * u * e
+            row[10] += weight * v * e
+            row[11] += weight * su * e
+            row[12] += weight * sv * e
+            row[13] += weight * e * e
+            row[14] += 1.0
+            row[15] += weight
     for number in range(touched):
         head[pixels[number]] = -1
     for j in range(num_beams):

@@ -470,7 +470,7 @@ def _section_metrics(
     matches: Sequence[Match],
     shapes: Mapping[str, Counter[str]],
 ) -> dict[str, float | int | None]:
-    is_round = np.array([shape == "round" for shape in truth.shapes])
+    is_round = np.array([shape == "round" for shape in truth.shapes], dtype=np.bool_)
     radii = np.unique(np.round(truth.radii[is_round], 6))
     return {
         **spread("radius_error", (abs(match.radius_error) for match in matches)),

@@ -143,11 +143,9 @@ def _from_world(path: Path) -> Truth:
     from beamseg_batch.world import load_scene_file
 
     scene = load_scene_file(path).scene
-    if not scene.members:
-        raise TruthError(f"{path}: has no member with a known axis, so it is no truth")
     axes = Lines.between(
-        np.array([member.start for member in scene.members], dtype=np.float64),
-        np.array([member.end for member in scene.members], dtype=np.float64),
+        np.array([member.start for member in scene.members], np.float64).reshape(-1, 3),
+        np.array([member.end for member in scene.members], np.float64).reshape(-1, 3),
     )
     return Truth(
         source=str(path),
@@ -167,8 +165,6 @@ def _from_table(path: Path) -> Truth:
     required = ("id", *_ENDS, "radius")
     columns = TRUTH.decode(read_text(path), where, required)
     n = len(columns["id"])
-    if n == 0:
-        raise TruthError(f"{where}: has no member")
     require_finite(columns, (*_ENDS, "radius"), where)
     names = tuple(columns["id"].tolist())
     require_unique(names, "member", where)

@@ -129,7 +129,7 @@ class Sums:
         return self.likelihood[part], self.hits[part]
 
     def coarse(self, index: int) -> FloatArray:
-        """(N, 18) float64: normal equations of one beam, by coarse bin."""
+        """(N, 16) float64: normal equations of one beam, by coarse bin."""
         return self.normal[self.coarse_at[index] : self.coarse_at[index + 1]]
 
     def place(self, index: int, fine_bin: float) -> float:
@@ -148,7 +148,7 @@ def normal_matrix(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     Parameters
     ----------
-    rows : (N, 18) float64
+    rows : (N, 16) float64
 
     Returns
     -------
@@ -159,5 +159,5 @@ def normal_matrix(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
     matrix = np.array(
         [[uu, uv, suu, suv], [uv, vv, suv, svv], [suu, suv, ssuu, ssuv], [suv, svv, ssuv, ssvv]]
     )
-    right: FloatArray = rows[:, 10:14].sum(axis=0)
+    right: FloatArray = rows[:, 9:13].sum(axis=0)
     return matrix, right

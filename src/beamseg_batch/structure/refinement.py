@@ -117,7 +117,7 @@ def _split_or_refit(
 def refit(beam: Beam, index: int, first: float, last: float, sums: Sums) -> Beam:
     """Move an axis to where the rays of a stretch put it."""
     rows = sums.coarse(index)[sums.coarse_bins(index, first, last)]
-    if rows[:, 15].sum() < 8:
+    if rows[:, 14].sum() < 8:
         return beam.between(first, last)
     matrix, right = normal_matrix(rows)
     step, regular = solve_4(matrix, right)
@@ -128,8 +128,8 @@ def refit(beam: Beam, index: int, first: float, last: float, sums: Sums) -> Beam
     anchor = beam.anchor + step[0] * u + step[1] * v
     direction = beam.direction + step[2] * u + step[3] * v
     direction /= np.linalg.norm(direction)
-    weight = rows[:, 16].sum()
-    chi2 = (rows[:, 14].sum() - right @ step) / weight
+    weight = rows[:, 15].sum()
+    chi2 = (rows[:, 13].sum() - right @ step) / weight
     moved = replace(
         beam,
         anchor=anchor,
@@ -159,7 +159,7 @@ def bend(
         angle = np.hypot(*(right_step - left_step)[2:])
         if gain > best and angle > np.radians(1.5):
             best, place = gain, k
-    count = totals[-1][15]
+    count = totals[-1][14]
     if place is None or best < 200.0 or best / count < (0.0025 / noise) ** 2:
         return None
     return float(sums.starts[index] + (span.start + place) * COARSE)

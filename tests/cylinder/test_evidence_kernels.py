@@ -1,0 +1,232 @@
+"""What rays say about beams: the kernel beside its slow twin, and case by case."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from beamseg_batch.cylinder.evidence_kernels import FINE, NORMAL_COLUMNS, gather
+from tests.cylinder.naive import Gathered
+from tests.cylinder.scenes import gathered, recorded, scene_of, some_beams
+
+BEAM = ([1.0, 0.0, -0.3], [1.0, 0.0, 0.3], 0.05)
+BEFORE = ([0.7, 0.0, -0.3], [0.7, 0.0, 0.3], 0.05)
+
+
+def as_beams(*beams):
+    return [(np.array(start), np.array(end), radius) for start, end, radius in beams]
+
+
+def random_scene(seed, count=4, **kwargs):
+    rng = np.random.default_rng(seed)
+    beams = some_beams(rng, count)
+    seen = scene_of(beams, rng, wall=rng.choice([1.1, 1.6, np.inf]), **kwargs)
+    moved = [(a + rng.normal(0, 0.005, 3), b + rng.normal(0, 0.005, 3), r) for a, b, r in beams]
+    scene = scene_of(moved, rng, depths=np.zeros(len(seen.rays)), **kwargs)
+    scene.points = seen.points
+    return scene
+
+
+def assert_same(sums, wanted, *, rounding=1e-9):
+    np.testing.assert_allclose(sums.likelihood, wanted.likelihood, rtol=rounding, atol=rounding)
+    np.testing.assert_array_equal(sums.hits, wanted.hits)
+    used = list(range(16))
+    got, want = sums.normal[:, used], wanted.normal[:, used]
+    np.testing.assert_allclose(got, want, rtol=0.0, atol=rounding * max(np.abs(want).max(), 1.0))
+    np.testing.assert_array_equal(sums.scans, wanted.scans)
+    np.testing.assert_array_equal(sums.flanks, wanted.flanks)
+
+
+def assert_agrees(scene, *, flanks=True):
+    """Compiled, depths have the single precision of the points; the source has more."""
+    wanted = Gathered(scene, flanks=flanks)
+    assert_same(gathered(scene, flanks=flanks), wanted, rounding=1e-7)
+    with np.errstate(all="ignore"):
+        assert_same(gathered(scene, flanks=flanks, run=gather.py_func), wanted, rounding=1e-7)
+
+
+# --- the twin -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("competitors", ["none", "likelier", "all"])
+@pytest.mark.parametrize("seed", range(3))
+def test_gather__agrees_with_its_twin(seed, competitors):
+    scene = random_scene(seed)
+    limits = {"none": scene.ranks * 0 - 1, "likelier": scene.ranks - 1, "all": scene.limits}
+    scene.limits = limits[competitors]
+    sums = gathered(scene)
+    assert sums.hits.sum() > 20
+    assert sums.likelihood.min() < 0.0
+    assert sums.flanks.sum() > 10
+    assert_agrees(scene)
+
+
+def test_gather__agrees_with_its_twin_without_flanks():
+    scene = random_scene(7)
+    assert_agrees(scene, flanks=False)
+
+
+def test_gather__agrees_with_its_twin_above_a_floor_and_in_a_window():
+    scene = random_scene(8)
+    scene.up, scene.height, scene.floor = np.array([0.1, 0.0, np.sqrt(0.99)]), 0.4, 0.3
+    scene.low[1], scene.high[0] = -0.2, 1.2
+    assert_agrees(scene)
+
+
+# --- the image and the scratch --------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_gather__asks_the_same_rays_through_the_image_as_all(seed):
+    scene = random_scene(1000 + seed, count=6)
+    assert_same(gathered(scene), gathered(scene, width=0))
+
+
+@pytest.mark.parametrize("shift", [(-1.0, 0, 0), (0, 1.2, 0), (-0.8, 0, 0.9), (0.7, 0, 0)])
+def test_gather__asks_the_same_rays_of_beams_at_the_edge(shift):
+    rng = np.random.default_rng(3)
+    beams = [(a + shift, b + shift, r) for a, b, r in some_beams(rng, 6)]
+    depths = rng.uniform(0.3, 2.0, 24 * 24)
+    scene = scene_of(beams, rng, depths=depths)
+    assert_same(gathered(scene), gathered(scene, width=0))
+
+
+@pytest.mark.parametrize("way", [(0, 0, 0.2), (0, 0.2, 0), (0.1, 0.1, 0.2)])
+def test_gather__asks_the_same_rays_of_a_beam_that_is_near_and_thick(way):
+    middle, way = np.array([0.6, 0.0, 0.0]), np.array(way)
+    scene = scene_of([(middle - way, middle + way, 0.08)], np.random.default_rng(0), size=96)
+    sums = gathered(scene)
+    assert sums.flanks[0].sum(axis=1).min() > 100
+    assert_same(sums, gathered(scene, width=0))
+
+
+def test_gather__restores_its_scratch_and_adds_up():
+    scene = random_scene(11)
+    once = gathered(scene)
+    assert (once.head == -1).all()
+    twice = gathered(scene, sums=gathered(scene))
+    np.testing.assert_allclose(twice.likelihood, 2 * once.likelihood, atol=1e-9)
+    np.testing.assert_array_equal(twice.scans, 2 * once.scans)
+    np.testing.assert_array_equal(twice.flanks, 2 * once.flanks)
+
+
+@pytest.mark.parametrize("room", [0, 1, 40])
+def test_gather__leaves_out_what_its_scratch_cannot_hold(room):
+    scene = random_scene(12)
+    sums = gathered(scene, room=room)
+    assert (sums.head == -1).all()
+    assert sums.hits.sum() <= room
+
+
+def test_gather__of_no_beams():
+    scene = random_scene(13)
+    for name in ("anchors", "directions", "us", "vs", "radii", "firsts", "lasts"):
+        setattr(scene, name, getattr(scene, name)[:0])
+    for name in ("ranks", "limits", "starts"):
+        setattr(scene, name, getattr(scene, name)[:0])
+    scene.fine_at = scene.coarse_at = np.zeros(1, np.int64)
+    assert gathered(scene).likelihood.shape == (0,)
+
+
+# --- case by case ---------------------------------------------------------------------
+
+
+def told(beams, hypothesis, *, wall=np.inf, noise=(0.003, 0.0), seed=0):
+    """What a camera that sees some beams tells of a hypothesis."""
+    rng = np.random.default_rng(seed)
+    seen = scene_of(as_beams(*beams), rng, wall=wall, noise=noise, size=48)
+    asked = scene_of(as_beams(*hypothesis), rng, depths=np.zeros(48 * 48), noise=noise, size=48)
+    asked.points = seen.points
+    asked.ranks = np.arange(len(hypothesis))
+    return asked, gathered(asked)
+
+
+def by_beam(scene, values):
+    return [
+        float(values[first:last].sum())
+        for first, last in zip(scene.fine_at[:-1], scene.fine_at[1:], strict=True)
+    ]
+
+
+def test_gather__a_beam_that_is_there_is_explained_up_to_its_ends():
+    scene, sums = told([BEAM], [BEAM])
+    along = scene.starts[0] + FINE * (np.arange(len(sums.hits)) + 0.5)
+    assert sums.hits[np.abs(along) < 0.3].sum() > 20
+    assert sums.hits[np.abs(along) > 0.31].sum() == 0
+    assert sums.likelihood[np.abs(along) < 0.3].sum() > 3.0 * sums.hits.sum()
+    assert sums.likelihood[np.abs(along) > 0.31].max() <= 0.0
+    assert sums.likelihood[np.abs(along) > 0.31].sum() < -100.0
+    assert sums.scans[0] == 1
+
+
+@pytest.mark.parametrize("wall", [1.6, np.inf])
+def test_gather__rays_see_through_a_beam_that_is_not_there(wall):
+    _, sums = told([([1.0, 0.9, -0.3], [1.0, 0.9, 0.3], 0.05)], [BEAM], wall=wall)
+    assert sums.hits.sum() == 0
+    assert sums.likelihood.sum() < -200.0
+    assert set(np.unique(sums.likelihood % 4.0)) == {0.0}
+    assert sums.scans[0] == 0
+
+
+def test_gather__returns_from_before_a_beam_say_nothing_of_it():
+    _, sums = told([BEFORE], [([1.2, 0.0, -0.2], [1.2, 0.0, 0.2], 0.02)], wall=0.65)
+    assert not sums.hits.any()
+    assert not sums.likelihood.any()
+
+
+def test_gather__a_beam_hidden_by_a_rival_is_neither_seen_nor_denied():
+    hidden = ([1.2, 0.0, -0.2], [1.2, 0.0, 0.2], 0.02)
+    scene, sums = told([BEFORE], [BEFORE, hidden])
+    front, behind = by_beam(scene, sums.likelihood)
+    assert front > 150.0
+    assert behind == 0.0
+
+
+@pytest.mark.parametrize(
+    ("limits", "alone"), [((-1, -1), (1, 1)), ((-1, 0), (1, 0)), ((2, 2), (0, 0))]
+)
+def test_gather__twins_share_their_rays_by_rank(limits, alone):
+    rng = np.random.default_rng(0)
+    scene = scene_of(as_beams(BEAM, BEAM), rng, noise=(0.003, 0.0), size=48)
+    scene.ranks, scene.limits = np.array([0, 1]), np.array(limits)
+    sums = gathered(scene)
+    assert tuple(int(hits > 0) for hits in by_beam(scene, sums.hits)) == alone
+    assert tuple(sums.scans) == alone
+
+
+def test_gather__a_pixel_of_unknown_direction_says_nothing():
+    scene = random_scene(20)
+    scene.points = recorded(np.full_like(scene.points, np.nan))
+    scene.rays = np.zeros_like(scene.rays)
+    sums = gathered(scene, width=0)
+    assert not sums.likelihood.any()
+    assert not sums.flanks.any()
+
+
+def test_gather__a_wall_goes_on_beside_a_beam_and_air_does_not():
+    _, free = told([BEAM], [BEAM])
+    _, walled = told([([1.0, 0.9, -0.3], [1.0, 0.9, 0.3], 0.05)], [BEAM], wall=1.0)
+    assert free.flanks[0, :, 0].sum() == 0
+    assert free.flanks[0, :, 1].min() > 10
+    assert walled.flanks[0, :, 1].sum() == 0
+    assert walled.flanks[0, :, 0].min() > 10
+
+
+def test_gather__a_place_that_rounds_up_to_the_end_stays_in_the_last_bin():
+    start, bins, place = -1.7371404428141006, 416, -0.0731404428141005
+    assert place < start + bins * FINE
+    assert int((place - start) / FINE) == bins
+    points, one = np.array([[0.95, 0.0, 0.0]]), np.ones((1, 1))
+    hits, likelihood = np.zeros(bins + 4), np.zeros(bins + 4)
+    gather(
+        points, points / 0.95, 0, np.zeros(4), 0.005, 0.0,
+        np.array([0.0, -2.0, -2.0]), np.full(3, 2.0), np.array([0.0, 0.0, 1.0]), 1.0, -np.inf,
+        one * [1.0, 0.0, -place], one * [0.0, 0.0, 1.0],
+        one * [1.0, 0.0, 0.0], one * [0.0, 1.0, 0.0],
+        np.array([0.05]), np.array([-1.0]), np.array([0.0]), np.zeros(1, np.int64),
+        np.ones(1, np.int64), np.array([start]), np.array([0, bins]), np.array([0, bins // 5]),
+        likelihood, hits, np.zeros((bins // 5 + 4, NORMAL_COLUMNS)), np.zeros(1, np.int64),
+        np.zeros((0, 2, 2)), 4.0, 5.0, np.full(1, -1), np.zeros(1, np.int64),
+        np.zeros(9, np.int64), np.zeros(9, np.int64), np.zeros((6, 9)),
+    )  # fmt: skip
+    assert np.flatnonzero(hits).tolist() == [bins - 1]

@@ -1,0 +1,94 @@
+"""Noise of the depths, measured on what is flat."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from beamseg_batch.config import SensorConfig
+from beamseg_batch.detection.noise import DEFAULT_NOISE, depth_noise, measured_noise
+from beamseg_batch.model import DepthNoise
+from tests.detection.scans import make_scan
+from tests.rays import camera_rays
+
+WIDTH, HEIGHT = 96, 64
+
+
+def wall_scan(rng, noise, *, distance=1.0, slope=0.6, ragged=0.0):
+    """A slanted wall, so that depths differ; part of it may be anything but flat."""
+    rays = camera_rays(WIDTH, HEIGHT)
+    rays = rays / rays[:, :1]
+    depths = distance / (1.0 + slope * rays[:, 1])
+    depths += rng.normal(size=len(depths)) * np.hypot(noise.constant, noise.relative * depths)
+    odd = rng.uniform(size=len(depths)) < ragged
+    depths[odd] += rng.choice([-0.4, 0.5, np.nan], odd.sum())
+    return replace(make_scan(rays * depths[:, None]), width=WIDTH, height=HEIGHT)
+
+
+def flight(seed, noise, count=12, **kwargs):
+    rng = np.random.default_rng(seed)
+    return [wall_scan(rng, noise, distance=d, **kwargs) for d in np.linspace(0.6, 2.5, count)]
+
+
+@pytest.mark.parametrize("constant", [0.002, 0.005, 0.01])
+def test_measured_noise__of_constant_noise(constant):
+    noise = measured_noise(flight(0, DepthNoise(constant)))
+    for depth in (0.7, 1.0, 2.0):
+        assert noise.at(depth) == pytest.approx(constant, rel=0.08)
+
+
+def test_measured_noise__of_noise_that_grows():
+    true = DepthNoise(0.002, 0.004)
+    noise = measured_noise(flight(1, true))
+    for depth in (0.7, 1.0, 2.0, 3.0):
+        assert noise.at(depth) == pytest.approx(true.at(depth), rel=0.1)
+
+
+def test_measured_noise__does_not_heed_edges():
+    noise = measured_noise(flight(2, DepthNoise(0.005), ragged=0.05))
+    assert noise.at(1.0) == pytest.approx(0.005, rel=0.12)
+
+
+def test_measured_noise__of_exact_depths_is_small_but_not_zero():
+    noise = measured_noise(flight(3, DepthNoise(0.0)))
+    assert 0.0 < noise.at(1.0) < 1e-3
+
+
+def test_measured_noise__is_not_known_of_clouds_without_rows():
+    scans = [replace(scan, width=WIDTH * HEIGHT, height=1) for scan in flight(4, DepthNoise(0.003))]
+    assert measured_noise(scans) == DEFAULT_NOISE
+    assert measured_noise([]) == DEFAULT_NOISE
+
+
+def test_measured_noise__is_not_known_of_an_empty_sky():
+    scans = [
+        replace(scan, points=np.full_like(scan.points, np.nan))
+        for scan in flight(5, DepthNoise(0.003))
+    ]
+    assert measured_noise(scans) == DEFAULT_NOISE
+
+
+def test_measured_noise__reads_no_further_than_it_needs():
+    scan = wall_scan(np.random.default_rng(6), DepthNoise(0.004))
+    read = []
+
+    def endless():
+        while True:
+            read.append(1)
+            yield scan
+
+    assert measured_noise(endless()).at(1.0) == pytest.approx(0.004, rel=0.1)
+    assert len(read) < 40
+
+
+def test_depth_noise__takes_what_is_configured():
+    assert depth_noise(iter(()), SensorConfig(noise_m=0.02)) == DepthNoise(0.02, 0.0)
+    both = SensorConfig(noise_m=0.02, noise_relative=0.01)
+    assert depth_noise(iter(()), both) == DepthNoise(0.02, 0.01)
+
+
+def test_depth_noise__is_measured_otherwise():
+    scans = flight(7, DepthNoise(0.006))
+    assert depth_noise(scans, SensorConfig()).at(1.0) == pytest.approx(0.006, rel=0.1)

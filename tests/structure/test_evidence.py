@@ -1,0 +1,174 @@
+"""Beams of a few synthetic scans, from first sightings to measured axes and ends."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from beamseg_batch.config import load_config
+from beamseg_batch.geometry import angle_between_deg, distances_to_line, normalised
+from beamseg_batch.model import DepthNoise
+from beamseg_batch.structure.evidence import EvidenceStructure, Leftovers
+from tests.detection.scans import make_scan
+from tests.rays import camera_rays, pose_at, seen_depths
+from tests.structure.segments import between, detections, jittered
+
+NOISE = DepthNoise(0.004)
+SIZE = 96
+POSES = [
+    pose_at([0, y, 1.0 + z], 8 * z, -10 * y) for y in (-0.3, -0.1, 0.1, 0.3) for z in (-0.2, 0, 0.2)
+]
+RAIL = ((0.95, -0.4, 1.05), (1.0, 0.45, 0.95), 0.05)
+POST = ((0.8, 0.12, 0.55), (0.8, 0.12, 1.5), 0.05)
+
+
+def look(pose, beams, rng, *, wall=np.inf, rows=True, stamp_ns=0):
+    """Scan of some beams and a wall that stands square to the world's x axis."""
+    rays = camera_rays(SIZE, SIZE, 70.0)
+    turned = pose.rotate(rays)
+    depths = np.full(len(rays), np.inf)
+    for start, end, radius in beams:
+        ends = (np.array(start), np.array(end))
+        depths = np.minimum(depths, seen_depths(pose.translation, turned, *ends, radius))
+    depths = np.minimum(depths, (wall - pose.translation[0]) / turned[:, 0])
+    seen = np.isfinite(depths)
+    depths[seen] += rng.normal(0.0, NOISE.constant, seen.sum()) / rays[seen, 0]
+    points = (rays * np.where(seen, depths, np.nan)[:, None]).astype(np.float32)
+    points.flags.writeable = False
+    width, height = (SIZE, SIZE) if rows else (len(points), 1)
+    scan = make_scan(points, pose=pose, stamp_ns=stamp_ns)
+    return replace(scan, width=width, height=height)
+
+
+def flown(beams, sightings, *, passes=8, seed=0, **seen):
+    """Structure after all passes over scans in which these segments were found, roughly."""
+    rng = np.random.default_rng(seed)
+    scans = [look(pose, beams, rng, stamp_ns=k, **seen) for k, pose in enumerate(POSES)]
+    structure = EvidenceStructure(load_config("precise"), NOISE)
+    for scan in scans:
+        found = [replace(jittered(s, rng, 0.006), first_seen_ns=scan.stamp_ns) for s in sightings]
+        structure.update(replace(detections(*found, stamp_ns=scan.stamp_ns), scan=scan))
+    for _ in range(passes):
+        structure.refine(iter(scans))
+    return structure, scans
+
+
+def shortened(beam, share=0.1):
+    """What a scan shows of a beam: not all of it."""
+    start, end = (np.array(point) for point in beam[:2])
+    return between(start + share * (end - start), end - share * (end - start))
+
+
+def assert_measured(segment, beam, *, axis_m=5e-4, ends_m=5e-3):
+    start, end, _ = (np.array(part) for part in beam)
+    way = normalised(end - start)
+    along = np.sort([(point - start) @ way for point in (segment.end_1, segment.end_2)])
+    apart = distances_to_line(np.array([start, end]), segment.anchor, segment.direction)
+    assert apart.max() < axis_m
+    np.testing.assert_allclose(along, [0.0, np.linalg.norm(end - start)], atol=ends_m)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_EvidenceStructure__measures_axis_and_ends(seed):
+    structure, _ = flown([RAIL], [shortened(RAIL)], seed=seed)
+    (segment,) = structure.segments()
+    assert_measured(segment, RAIL)
+    assert segment.n_scans == len(POSES)
+    assert segment.first_seen_ns == 0
+    assert structure.rejections().total() == 0
+
+
+def test_EvidenceStructure__measures_clouds_without_rows():
+    structure, _ = flown([RAIL], [shortened(RAIL)], rows=False, wall=1.45)
+    (segment,) = structure.segments()
+    assert_measured(segment, RAIL)
+
+
+def test_EvidenceStructure__measures_beams_that_hide_one_another():
+    structure, _ = flown([RAIL, POST], [shortened(RAIL), shortened(POST)])
+    assert len(structure.segments()) == 2
+    upright = [abs(segment.direction[2]) for segment in structure.segments()]
+    assert_measured(structure.segments()[int(np.argmax(upright))], POST, ends_m=0.01)
+    assert_measured(structure.segments()[int(np.argmin(upright))], RAIL, ends_m=0.01)
+    assert structure.intersections() == ()
+
+
+def test_EvidenceStructure__finds_nothing_in_a_wall():
+    on_wall = [
+        between([1.0, -0.3, 1.0], [1.0, 0.3, 1.0]),
+        between([1.03, 0.1, 0.8], [1.03, 0.1, 1.3]),
+    ]
+    structure, _ = flown([], on_wall, wall=1.0)
+    assert structure.segments() == ()
+
+
+def test_EvidenceStructure__finds_nothing_in_the_air():
+    structure, _ = flown([RAIL], [between([0.7, -0.3, 0.7], [0.7, 0.3, 0.7])])
+    assert structure.segments() == ()
+    assert len(structure) == 0
+
+
+def test_EvidenceStructure__keeps_apart_beams_that_are_bent():
+    half = np.radians(5.0)
+    way = np.array([np.sin(half), np.cos(half), 0.0])
+    left = ((1.0, 0.0, 1.0), tuple(np.array([1.0, 0.0, 1.0]) + 0.4 * way * (1, -1, 1)), 0.05)
+    right = ((1.0, 0.0, 1.0), tuple(np.array([1.0, 0.0, 1.0]) + 0.4 * way), 0.05)
+    structure, _ = flown([left, right], [between(left[1], right[1])])
+    one, other = structure.segments()
+    assert angle_between_deg(one.direction, other.direction) == pytest.approx(10.0, abs=0.7)
+    (joint,) = structure.intersections()
+    np.testing.assert_allclose(joint.position, [1.0, 0.0, 1.0], atol=0.01)
+
+
+def test_EvidenceStructure__before_any_pass_holds_the_candidates():
+    structure, _ = flown([RAIL], [shortened(RAIL)], passes=0)
+    assert len(structure) == 1
+    (segment,) = structure.segments()
+    assert angle_between_deg(segment.direction, np.subtract(*RAIL[:2])) < 2.0
+
+
+@pytest.mark.parametrize(
+    ("setting", "reason"),
+    [("structure.min_scans=13", "too_few_scans"), ("structure.min_length=1.0", "too_short")],
+)
+def test_rejections__say_why_a_beam_is_left_out(setting, reason):
+    structure, _ = flown([RAIL], [shortened(RAIL)], passes=4)
+    structure.config = load_config("precise", overrides=[setting])
+    assert structure.segments() == ()
+    assert structure.rejections() == {reason: 1}
+
+
+def test_leftovers__are_what_no_beam_explains():
+    structure, scans = flown([RAIL, POST], [shortened(RAIL)], passes=3)
+    (left,) = structure.leftovers(scans)
+    off_post = distances_to_line(left.points, np.array(POST[0]), np.array([0.0, 0.0, 1.0]))
+    assert len(left.points) > 300
+    assert np.mean(off_post < 0.05 + 5 * NOISE.constant) > 0.97
+    assert left.stamp_ns == scans[-1].stamp_ns
+    np.testing.assert_allclose(left.seen_from, [0.0, 0.0, 1.0], atol=1e-9)
+
+
+def test_leftovers__are_pooled_by_25_scans():
+    structure, (scan, *_) = flown([RAIL], [], passes=0)
+    pooled = list(structure.leftovers(replace(scan, stamp_ns=k) for k in range(60)))
+    assert [left.stamp_ns for left in pooled] == [24, 49, 59]
+    returns = np.isfinite(scan.points).all(axis=1).sum()
+    assert [len(left.points) for left in pooled] == [25 * returns, 25 * returns, 10 * returns]
+
+
+def test_propose__adds_beams_that_are_measured_like_the_others():
+    structure, scans = flown([RAIL, POST], [shortened(RAIL)], passes=3)
+    seen = shortened(POST)
+    on_surface = replace(seen, anchor=seen.anchor - [0.04, 0.0, 0.0])
+    left = Leftovers(np.zeros((0, 3)), np.array([0.0, 0.1, 1.0]), 7)
+    assert structure.wants_leftovers
+    structure.propose([(on_surface, left)])
+    assert len(structure) == 2
+    assert not structure.wants_leftovers
+    while structure.refine(scans):
+        pass
+    (post,) = (s for s in structure.segments() if abs(s.direction[2]) > 0.9)
+    assert_measured(post, POST)
+    assert post.first_seen_ns == 7

@@ -1,0 +1,266 @@
+"""From evidence to a better hypothesis: refit, bend, merge and drop."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from beamseg_batch.cylinder.evidence_kernels import COARSE, FINE
+from beamseg_batch.geometry import normalised
+from beamseg_batch.structure.hypothesis import Beam, Sums, normal_matrix
+from beamseg_batch.structure.refinement import (
+    PassRules,
+    bend,
+    is_likely,
+    refined,
+    refit,
+    stands_free,
+    without_duplicates,
+)
+
+NOISE = 0.005
+ALONG = np.array([1.0, 0.0, 0.0])
+
+
+def beam(start, end, **values):
+    start, end = np.array(start, np.float64), np.array(end, np.float64)
+    half = 0.5 * float(np.linalg.norm(end - start))
+    return Beam(0.5 * (start + end), normalised(end - start), -half, half, 0.05, **values)
+
+
+GOOD = beam([0, 0, 0], [1, 0, 0], score=2000.0, hits=500.0, scans=5)
+
+
+def told(one, offset, *, per_bin=40, noise=0.0, seed=0, like=4.0):
+    """Sums of rays that hit all along an axis which lies off the beam's, by its place.
+
+    `offset` gives (u, v), metres along the beam's normals, for places along it.
+    """
+    rng, sums = np.random.default_rng(seed), Sums([one])
+    middles = sums.starts[0] + COARSE * (np.arange(len(sums.coarse(0))) + 0.5)
+    likelihood, hits = sums.fine(0)
+    places = sums.starts[0] + FINE * (np.arange(len(hits)) + 0.5)
+    inside = (places > one.first) & (places < one.last)
+    hits[inside], likelihood[inside] = per_bin / 5, like * per_bin / 5
+    likelihood[~inside] = -4.0
+    for row, s in zip(sums.coarse(0), middles, strict=True):
+        if not one.first < s < one.last:
+            continue
+        turn = rng.uniform(0, 2 * np.pi, per_bin)
+        u, v = np.cos(turn) / NOISE, np.sin(turn) / NOISE
+        e = np.stack([u, v], axis=1) @ offset(s) + noise * rng.normal(size=per_bin)
+        su, sv = s * u, s * v
+        products = [u * u, u * v, v * v, u * su, u * sv, v * sv, su * su, su * sv, sv * sv]
+        row[:9] = [product.sum() for product in products]
+        row[9:13] = [(part * e).sum() for part in (u, v, su, sv)]
+        row[13:16] = (e * e).sum(), per_bin, per_bin
+    return sums
+
+
+def straight(one, du=0.004, dv=-0.006, su=0.01, sv=0.004):
+    """Offset of a straight axis, and the points where its ends are."""
+    u, v = one.normals
+    ends = [one.at(s) + (du + s * su) * u + (dv + s * sv) * v for s in (one.first, one.last)]
+    return (lambda s: np.array([du + s * su, dv + s * sv])), ends
+
+
+def bent(place, degrees):
+    """Offset of an axis that turns at a place by so much."""
+    half = 0.5 * np.tan(np.radians(degrees))
+    return lambda s: np.array([half * abs(s - place), 0.0])
+
+
+# --- refit ----------------------------------------------------------------------------
+
+
+def test_refit__moves_the_axis_to_where_the_rays_put_it():
+    offset, ends = straight(GOOD)
+    moved = refit(GOOD, 0, GOOD.first, GOOD.last, told(GOOD, offset))
+    np.testing.assert_allclose(moved.ends, ends, atol=1e-4)  # to first order
+    axis = normalised(ends[1] - ends[0])
+    assert np.linalg.norm(np.cross(moved.direction, axis)) < 1e-9
+    assert moved.reduced_chi2 == pytest.approx(0.0, abs=1e-9)
+    assert moved.length == pytest.approx(GOOD.length)
+
+
+def test_refit__tells_how_certain_the_axis_is():
+    steps, matrices = [], []
+    for seed in range(60):
+        sums = told(GOOD, lambda s: np.zeros(2), noise=1.0, seed=seed, per_bin=10)
+        moved = refit(GOOD, 0, GOOD.first, GOOD.last, sums)
+        steps.append([moved.at(0.0) @ part for part in GOOD.normals])
+        matrices.append(moved.covariance[:2, :2])
+        assert moved.reduced_chi2 == pytest.approx(1.0, abs=0.25)
+    spread = np.std(steps, axis=0)
+    np.testing.assert_allclose(spread, np.sqrt(np.diag(np.mean(matrices, axis=0))), rtol=0.3)
+
+
+def test_refit__asks_only_the_stretch():
+    def offset(s):
+        return np.array([0.003, 0.0]) if s < 0.0 else np.array([0.03, 0.0])
+
+    part = refit(GOOD, 0, -0.5, 0.0, told(GOOD, offset))
+    assert part.at(0.0) @ GOOD.normals[0] == pytest.approx(0.003, abs=1e-9)
+    assert part.length == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("per_bin", [0, 40])
+def test_refit__without_rays_changes_the_ends_alone(per_bin):
+    sums = told(GOOD, lambda s: np.array([0.01, 0.0]), per_bin=per_bin)
+    part = refit(GOOD, 0, 0.6, 0.7, sums)
+    np.testing.assert_allclose(part.ends, [[1.1, 0, 0], [1.2, 0, 0]], atol=1e-12)
+
+
+def test_refit__takes_no_leaps():
+    moved = refit(GOOD, 0, GOOD.first, GOOD.last, told(GOOD, lambda s: np.array([0.5, 0.0])))
+    assert np.linalg.norm(moved.at(0.0) - GOOD.at(0.0)) == pytest.approx(0.05, abs=1e-9)
+
+
+# --- bend -----------------------------------------------------------------------------
+
+
+def naive_bend(one, sums):
+    """The bin at which two least squares fits leave the least, by brute force."""
+    span = sums.coarse_bins(0, one.first, one.last)
+    rows = sums.coarse(0)[span]
+
+    def left_over(part):
+        matrix, right = normal_matrix(part)
+        return part[:, 13].sum() - right @ np.linalg.lstsq(matrix, right, rcond=None)[0]
+
+    least = round(0.25 / COARSE)
+    cuts = range(least, len(rows) - least + 1)
+    best = min(cuts, key=lambda k: left_over(rows[:k]) + left_over(rows[k:]))
+    return sums.starts[0] + (span.start + best) * COARSE
+
+
+@pytest.mark.parametrize("place", [-0.15, 0.0, 0.11])
+@pytest.mark.parametrize("degrees", [6.0, 10.0, 20.0])
+def test_bend__is_found_where_it_is(place, degrees):
+    sums = told(GOOD, bent(place, degrees), noise=1.0)
+    found = bend(sums.coarse(0), sums, 0, GOOD.first, GOOD.last, NOISE)
+    assert found == pytest.approx(naive_bend(GOOD, sums), abs=1e-9)
+    assert found == pytest.approx(place, abs=0.03)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_bend__is_not_found_in_noise(seed):
+    offset, _ = straight(GOOD)
+    sums = told(GOOD, offset, noise=1.0, seed=seed)
+    assert bend(sums.coarse(0), sums, 0, GOOD.first, GOOD.last, NOISE) is None
+
+
+def test_bend__is_not_looked_for_in_what_is_short():
+    short = beam([0, 0, 0], [0.4, 0, 0])
+    sums = told(short, bent(0.0, 20.0))
+    assert bend(sums.coarse(0), sums, 0, short.first, short.last, NOISE) is None
+
+
+# --- likely and free ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "likely"),
+    [
+        ({}, True),
+        ({"score": 299.0, "hits": 100.0}, False),
+        ({"score": 301.0, "hits": 100.0}, True),
+        ({"score": 301.0, "hits": 500.0}, False),
+        ({"first": -0.08, "last": 0.08}, False),
+        ({"flanks": np.array([[50.0, 50.0], [0.0, 100.0]])}, False),
+    ],
+)
+def test_is_likely__asks_for_evidence_length_and_air(change, likely):
+    assert is_likely(replace(GOOD, **change)) is likely
+
+
+@pytest.mark.parametrize(
+    ("flanks", "free"),
+    [
+        ([[0, 0], [0, 0]], True),
+        ([[19, 0], [19, 0]], True),
+        ([[20, 0], [0, 0]], False),
+        ([[0, 0], [20, 0]], False),
+        ([[44, 56], [44, 56]], True),
+        ([[46, 54], [0, 99]], False),
+    ],
+)
+def test_stands_free__on_either_side(flanks, free):
+    assert stands_free(replace(GOOD, flanks=np.array(flanks, np.float64))) is free
+
+
+# --- duplicates -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "count"),
+    [
+        ([0.1, 0.011, 0], [0.9, 0.011, 0], 1),  # the same, seen worse
+        ([0.9, 0.011, 0], [0.1, 0.011, 0], 1),  # turned round
+        ([0.1, 0.013, 0], [0.9, 0.013, 0], 2),  # beside it
+        ([0.6, 0.01, 0], [1.5, 0.01, 0], 2),  # overlaps by less than half
+        ([1.04, 0.005, 0], [2, 0.005, 0], 1),  # goes on
+        ([1.04, 0.007, 0], [2, 0.007, 0], 2),
+        ([1.06, 0, 0], [2, 0, 0], 2),  # goes on after a gap
+        ([0.4, 0, 0], [0.6, 0.006, 0], 2),  # turned by 1.7 degrees
+        ([0.5, -0.5, 0], [0.5, 0.5, 0], 2),
+    ],
+)
+@pytest.mark.parametrize("order", [1, -1])
+def test_without_duplicates__keeps_the_likelier(start, end, count, order):
+    kept = without_duplicates([GOOD, beam(start, end, score=400.0)][::order])
+    assert len(kept) == count
+    assert kept[0].score == GOOD.score
+
+
+def test_without_duplicates__the_likelier_takes_in_the_length():
+    (kept,) = without_duplicates([beam([0.8, 0.004, 0], [2, 0.004, 0]), GOOD])
+    np.testing.assert_allclose(kept.ends, [[0, 0, 0], [2, 0, 0]], atol=1e-9)
+
+
+# --- all of it ------------------------------------------------------------------------
+
+
+def test_refined__cuts_what_the_rays_deny():
+    sums = told(GOOD, lambda s: np.zeros(2))
+    likelihood, hits = sums.fine(0)
+    places = sums.starts[0] + FINE * (np.arange(len(hits)) + 0.5)
+    likelihood[places > 0.3], hits[places > 0.3] = -4.0, 0.0
+    (found,) = refined([GOOD], sums, NOISE, PassRules())
+    assert found.length == pytest.approx(0.8, abs=FINE)
+    assert found.score == pytest.approx(likelihood[(places > -0.5) & (places < 0.3)].sum())
+
+
+@pytest.mark.parametrize("several", [False, True])
+def test_refined__cuts_in_two_where_that_is_allowed(several):
+    sums = told(GOOD, lambda s: np.zeros(2))
+    likelihood, hits = sums.fine(0)
+    places = sums.starts[0] + FINE * (np.arange(len(hits)) + 0.5)
+    gap = np.abs(places) < 0.1
+    likelihood[gap], hits[gap] = -4.0, 0.0
+    found = refined([GOOD], sums, NOISE, PassRules(several=several))
+    lengths = sorted(one.length for one in found)
+    assert lengths == pytest.approx([0.4, 0.4] if several else [1.0], abs=2 * FINE)
+
+
+@pytest.mark.parametrize(("split", "count"), [(True, 2), (False, 1)])
+def test_refined__splits_at_a_bend_where_that_is_allowed(split, count):
+    sums = told(GOOD, bent(0.0, 5.0), noise=1.0)
+    found = refined([GOOD], sums, NOISE, PassRules(split=split))
+    assert len(found) == count
+    if split:
+        between = np.degrees(np.arccos(abs(found[0].direction @ found[1].direction)))
+        assert between == pytest.approx(5.0, abs=0.5)
+
+
+@pytest.mark.parametrize("drop", [True, False])
+def test_refined__drops_the_unlikely_where_that_is_allowed(drop):
+    sums = told(GOOD, lambda s: np.zeros(2), per_bin=20, like=0.2)
+    assert len(refined([GOOD], sums, NOISE, PassRules(drop=drop))) == (0 if drop else 1)
+
+
+def test_refined__of_no_evidence_is_nothing():
+    assert refined([GOOD], Sums([GOOD]), NOISE, PassRules(drop=False)) == []
+    assert refined([], Sums([]), NOISE, PassRules(snap=True)) == []
