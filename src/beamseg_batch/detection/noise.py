@@ -19,7 +19,7 @@ _SMALLEST_M = 5e-4
 _BINS = 8
 _FEWEST_A_BIN = 200
 _ENOUGH = 200_000  # samples
-_PLANAR = 0.1  # metres: a larger second difference is an edge
+_PLANAR = 0.5  # metres: a larger second difference is an edge, whatever the noise
 
 
 def depth_noise(scans: Iterable[Scan], config: SensorConfig) -> DepthNoise:
