@@ -323,9 +323,18 @@ SEGMENTS = Table(
         _metres("y2", "Second end, y"),
         _metres("z2", "Second end, z"),
         Column("shape", "", "Cross-section: `round`", kind="text"),
-        _count("n_points", "Filtered points that support the beam, over all scans"),
+        _count(
+            "n_points",
+            "Filtered points that support the beam, over all scans; rays that it alone explains, "
+            "with `structure.fusion: evidence`",
+        ),
         _count("n_scans", "Scans in which the beam was found"),
-        Column("pca_coeff", "", "Largest share of the points' variance along one axis, 0 to 1"),
+        Column(
+            "pca_coeff",
+            "",
+            "Largest share of the points' variance along one axis, 0 to 1; this and the next three "
+            "are those of a full cylinder, with `structure.fusion: evidence`",
+        ),
         Column("pca_eig_0", "m²", "Largest eigenvalue of the points' covariance"),
         Column("pca_eig_1", "m²", "Second eigenvalue of the points' covariance"),
         Column("pca_eig_2", "m²", "Smallest eigenvalue of the points' covariance"),
