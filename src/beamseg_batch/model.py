@@ -163,6 +163,16 @@ class Segment:
         Scans in which the segment was seen.
     first_seen_ns, last_seen_ns : int
         Stamps of the first and the last of them.
+    covariance : (6, 6) float64, metres and radians, in the same frame
+        Of the anchor and the direction, which is only across the axis; NaN where it is not
+        known.
+    sigma_radius : float, metres
+        Standard deviation of the radius, were it measured freely; NaN where it is not known.
+    sigma_ends : (2,) float64, metres
+        Standard deviations of both ends along the axis; NaN where they are not known.
+    ends_seen : (bool, bool) or None
+        Whether the camera saw past each end, or what the beam ends in; None where it was not
+        asked.
     """
 
     anchor: FloatArray
@@ -177,6 +187,20 @@ class Segment:
     n_scans: int = 1
     first_seen_ns: int = 0
     last_seen_ns: int = 0
+    covariance: FloatArray = field(default_factory=lambda: np.full((6, 6), np.nan))
+    sigma_radius: float = np.nan
+    sigma_ends: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
+    ends_seen: tuple[bool, bool] | None = None
+
+    @property
+    def sigma_offset(self) -> float:
+        """Standard deviation of the axis across its direction, at the anchor, metres."""
+        return float(np.sqrt(np.trace(self.covariance[:3, :3])))
+
+    @property
+    def sigma_angle_deg(self) -> float:
+        """Standard deviation of the direction, degrees."""
+        return float(np.degrees(np.sqrt(np.trace(self.covariance[3:, 3:]))))
 
     @property
     def end_1(self) -> FloatArray:
