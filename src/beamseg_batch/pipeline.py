@@ -6,6 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from itertools import islice
 from typing import Protocol
 
 import numpy as np
@@ -29,6 +30,8 @@ from beamseg_batch.structure import (
     ThinnedCloud,
     intersections_of,
 )
+
+_SCANS_A_BATCH = 25
 
 __all__ = ["Progress", "process_flight"]
 
@@ -135,21 +138,34 @@ def _refine(
     for number in range(passes):
         if structure.wants_leftovers:
             _search_leftovers(structure, detect, flight)
-        moved = structure.refine(_watched(_usable(flight), progress, len(structure)))
-        if not moved:
-            return
+        question = structure.question()
+        sums = question.sums()
+        for scans in _batches(_watched(_usable(flight), progress, len(structure))):
+            sums.add(question.ask(scans))
+        if not structure.renew(sums):
+            break
         if should_stop():
             log.stop(f"interrupted after pass {number + 1} of {passes} over the rays")
             return
+    if passes:
+        ends = structure.end_question()
+        structure.set_ends(sum(map(ends.ask, _batches(_usable(flight))), start=ends.sums()))
 
 
 def _search_leftovers(structure: EvidenceStructure, detect: Detector, flight: Flight) -> None:
     """Look for beams that no scan alone shows, among what the others leave unexplained."""
+    question = structure.leftover_question()
     structure.propose(
         (segment, left)
-        for left in structure.leftovers(_usable(flight))
+        for left in map(question.ask, _batches(_usable(flight)))
         for segment in detect.in_cloud(left.points)
     )
+
+
+def _batches(scans: Iterator[Scan]) -> Iterator[list[Scan]]:
+    """So many scans at a time, whatever the number of processes: sums depend on it."""
+    while batch := list(islice(scans, _SCANS_A_BATCH)):
+        yield batch
 
 
 def _usable(flight: Flight) -> Iterator[Scan]:
@@ -212,8 +228,12 @@ def _warm_up(like: RunConfig) -> None:
         structure.update(detections)
     if isinstance(structure, EvidenceStructure):
         for _ in range(2):
-            structure.refine([scan])
-        list(structure.leftovers([scan]))
+            question = structure.question()
+            sums = question.sums()
+            sums.add(question.ask([scan]))
+            structure.renew(sums)
+        structure.set_ends(structure.end_question().ask([scan]))
+        structure.leftover_question().ask([scan])
     intersections_of(detections.segments, config.structure.intersections)
     ThinnedCloud(len(beams), 0.1).add(detections.cloud)
 

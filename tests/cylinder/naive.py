@@ -93,12 +93,15 @@ class Gathered:
         self.scene = scene
         self.likelihood = np.zeros(scene.fine_at[-1])
         self.hits = np.zeros(scene.fine_at[-1])
-        self.normal = np.zeros((scene.coarse_at[-1], 16))
+        self.normal = np.zeros((scene.coarse_at[-1], 22))
+        self.scores = np.zeros((len(scene.anchors), 5))
+        self.asked = np.zeros(len(scene.anchors), int)
         self.alone = np.zeros(len(scene.anchors), int)
         self.flanks = np.zeros((len(scene.anchors) if flanks else 0, 2, 2))
         for point, ray in zip(scene.points.astype(float), scene.rays, strict=True):
             self._ask(point, ray)
         self.scans = (self.alone >= 3).astype(int)
+        self.scatter = np.einsum("ij,ik->ijk", self.scores, self.scores)
 
     def _counts(self, place):
         scene = self.scene
@@ -128,6 +131,7 @@ class Gathered:
                 if capped is not None:
                     nearest[j] = capped[0]
         for j, (entry, s) in met.items():
+            self.asked[j] += 1
             self._answer(j, w, depth, entry, s, nearest)
         if len(self.flanks):
             for j in set(range(len(scene.anchors))) - set(met):
@@ -173,12 +177,18 @@ class Gathered:
         scene = self.scene
         a, b, u, v = (part[j] for part in (scene.anchors, scene.directions, scene.us, scene.vs))
         slopes = entry_slopes(w, a, b, scene.radii[j], s, u, v) / sigma
+        step = 1e-6
+        ahead, behind = (entry_depth(w, a, b, scene.radii[j] + k * step) for k in (1, -1))
+        thicker = (ahead - behind) / (2 * step * sigma)
         weight = (1 - (residual / scene.tukey) ** 2) ** 2
         row = self.normal[scene.coarse_at[j] + int((s - scene.starts[j]) / COARSE)]
         pairs = [(0, 0), (0, 1), (1, 1), (0, 2), (0, 3), (1, 3), (2, 2), (2, 3), (3, 3)]
         row[:9] += [weight * slopes[m] * slopes[n] for m, n in pairs]
         row[9:13] += weight * slopes * residual
         row[13:16] += weight * residual**2, 1, weight
+        row[16:20] += weight * slopes * thicker
+        row[20:22] += weight * thicker**2, weight * thicker * residual
+        self.scores[j] += weight * residual * np.append(slopes, thicker)
 
     def _pass_by(self, j, w, depth, nearest):
         scene = self.scene
@@ -189,6 +199,7 @@ class Gathered:
             return
         if not scene.firsts[j] <= s <= scene.lasts[j] or not self._counts(middle * w):
             return
+        self.asked[j] += 1
         sigma = self._sigma(w, middle)
         explained = np.any(np.abs(depth - self._rivals(j, nearest)) <= 4 * sigma)
         behind, reaches = depth - middle, 2 * radius + 4 * sigma

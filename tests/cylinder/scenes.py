@@ -6,7 +6,14 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from beamseg_batch.cylinder.evidence_kernels import COARSE, FINE, gather
+from beamseg_batch.cylinder.evidence_kernels import (
+    COARSE,
+    FINE,
+    NORMAL_COLUMNS,
+    Evidence,
+    gather,
+)
+from beamseg_batch.cylinder.meeting_kernels import Cylinders, Meetings, View
 from beamseg_batch.geometry import normalised
 from tests.cylinder.naive import frame_of
 from tests.rays import camera_rays, seen_depths
@@ -67,30 +74,58 @@ def scene_of(beams, rng, *, size=SIZE, noise=NOISE, wall=np.inf, depths=None):
     )  # fmt: skip
 
 
+def view_of(scene, width):
+    """What the kernels take as a scan."""
+    return View(
+        scene.points, scene.rays, width, scene.image, *scene.noise,
+        scene.low, scene.high, scene.up, scene.height, scene.floor,
+    )  # fmt: skip
+
+
+def cylinders_of(scene):
+    """What the kernels take as beams."""
+    stops = scene.starts + np.diff(scene.fine_at) * FINE
+    return Cylinders(
+        scene.anchors, scene.directions, scene.us, scene.vs, scene.radii,
+        scene.firsts, scene.lasts, scene.starts, stops, scene.ranks, scene.limits,
+    )  # fmt: skip
+
+
+def meetings_of(count, room=None):
+    """Scratch of the kernels."""
+    room = 4 * count + 64 if room is None else room
+    return Meetings(
+        np.empty((count, 4)), np.full(count, -1), np.empty(count, np.int64),
+        np.empty(room, np.int64), np.empty(room, np.int64),
+        *(np.empty(room) for _ in range(6)),
+    )  # fmt: skip
+
+
 def empty_sums(scene, *, flanks=True):
-    return SimpleNamespace(
+    """Sums of the kernel, nothing in them."""
+    count = len(scene.anchors)
+    return Evidence(
+        fine_at=scene.fine_at,
+        coarse_at=scene.coarse_at,
         likelihood=np.zeros(scene.fine_at[-1]),
         hits=np.zeros(scene.fine_at[-1]),
-        normal=np.zeros((scene.coarse_at[-1], 16)),
-        scans=np.zeros(len(scene.anchors), np.int64),
-        flanks=np.zeros((len(scene.anchors) if flanks else 0, 2, 2)),
+        normal=np.zeros((scene.coarse_at[-1], NORMAL_COLUMNS)),
+        scans=np.zeros(count, np.int64),
+        flanks=np.zeros((count if flanks else 0, 2, 2)),
+        scatter=np.zeros((count, 5, 5)),
+        asked=np.zeros(count, np.int64),
     )
 
 
 def gathered(scene, *, flanks=True, width=None, room=None, sums=None, run=gather):
-    """Sums of the kernel; `head` afterwards is theirs, too."""
+    """Sums of the kernel, which leaves its scratch as it was."""
     sums = sums or empty_sums(scene, flanks=flanks)
-    count = len(scene.points)
-    room = 4 * count + 64 if room is None else room
-    sums.head = np.full(count, -1)
-    run(
-        scene.points, scene.rays, scene.width if width is None else width, scene.image,
-        *scene.noise, scene.low, scene.high, scene.up, scene.height, scene.floor,
-        scene.anchors, scene.directions, scene.us, scene.vs, scene.radii,
-        scene.firsts, scene.lasts, scene.ranks, scene.limits, scene.starts,
-        scene.fine_at, scene.coarse_at, sums.likelihood, sums.hits, sums.normal,
-        sums.scans, sums.flanks, scene.tukey, scene.background, sums.head,
-        np.empty(count, np.int64), np.empty(room, np.int64), np.empty(room, np.int64),
-        np.empty((6, room)),
-    )  # fmt: skip
+    count = len(scene.anchors)
+    meetings = meetings_of(len(scene.points), room)
+    alone, scores = np.zeros(count, np.int64), np.zeros((count, 5))
+    view = view_of(scene, scene.width if width is None else width)
+    run(view, cylinders_of(scene), sums, scene.tukey, scene.background, meetings, alone, scores)
+    assert (meetings.head == -1).all()
+    assert not alone.any()
+    assert not scores.any()
     return sums

@@ -10,7 +10,8 @@ import pytest
 from beamseg_batch.config import load_config
 from beamseg_batch.geometry import angle_between_deg, distances_to_line, normalised
 from beamseg_batch.model import DepthNoise
-from beamseg_batch.structure.evidence import EvidenceStructure, Leftovers
+from beamseg_batch.structure.evidence import EvidenceStructure
+from beamseg_batch.structure.questions import Leftovers
 from tests.detection.scans import make_scan
 from tests.rays import camera_rays, pose_at, seen_depths
 from tests.structure.segments import between, detections, jittered
@@ -42,6 +43,14 @@ def look(pose, beams, rng, *, wall=np.inf, rows=True, stamp_ns=0):
     return replace(scan, width=width, height=height)
 
 
+def refine(structure, scans):
+    """Ask all scans once; whether another pass would change anything."""
+    question = structure.question()
+    sums = question.sums()
+    sums.add(question.ask(scans))
+    return structure.renew(sums)
+
+
 def flown(beams, sightings, *, passes=8, seed=0, **seen):
     """Structure after all passes over scans in which these segments were found, roughly."""
     rng = np.random.default_rng(seed)
@@ -51,7 +60,7 @@ def flown(beams, sightings, *, passes=8, seed=0, **seen):
         found = [replace(jittered(s, rng, 0.006), first_seen_ns=scan.stamp_ns) for s in sightings]
         structure.update(replace(detections(*found, stamp_ns=scan.stamp_ns), scan=scan))
     for _ in range(passes):
-        structure.refine(iter(scans))
+        refine(structure, scans)
     return structure, scans
 
 
@@ -142,20 +151,12 @@ def test_rejections__say_why_a_beam_is_left_out(setting, reason):
 
 def test_leftovers__are_what_no_beam_explains():
     structure, scans = flown([RAIL, POST], [shortened(RAIL)], passes=3)
-    (left,) = structure.leftovers(scans)
+    left = structure.leftover_question().ask(scans)
     off_post = distances_to_line(left.points, np.array(POST[0]), np.array([0.0, 0.0, 1.0]))
     assert len(left.points) > 300
     assert np.mean(off_post < 0.05 + 5 * NOISE.constant) > 0.97
     assert left.stamp_ns == scans[-1].stamp_ns
     np.testing.assert_allclose(left.seen_from, [0.0, 0.0, 1.0], atol=1e-9)
-
-
-def test_leftovers__are_pooled_by_25_scans():
-    structure, (scan, *_) = flown([RAIL], [], passes=0)
-    pooled = list(structure.leftovers(replace(scan, stamp_ns=k) for k in range(60)))
-    assert [left.stamp_ns for left in pooled] == [24, 49, 59]
-    returns = np.isfinite(scan.points).all(axis=1).sum()
-    assert [len(left.points) for left in pooled] == [25 * returns, 25 * returns, 10 * returns]
 
 
 def test_propose__adds_beams_that_are_measured_like_the_others():
@@ -167,7 +168,7 @@ def test_propose__adds_beams_that_are_measured_like_the_others():
     structure.propose([(on_surface, left)])
     assert len(structure) == 2
     assert not structure.wants_leftovers
-    while structure.refine(scans):
+    while refine(structure, scans):
         pass
     (post,) = (s for s in structure.segments() if abs(s.direction[2]) > 0.9)
     assert_measured(post, POST)

@@ -53,8 +53,9 @@ def test_evidence_between__is_nothing_where_there_is_no_profile(stretch):
 def test_sums__have_bins_for_each_beam_and_its_margins(lengths):
     beams = [beam(-0.3 * length, 0.7 * length) for length in lengths]
     sums = Sums(beams, flanks=True)
-    assert sums.flanks.shape == (len(beams), 2, 2)
-    assert len(sums.likelihood) == len(sums.hits) == sums.fine_at[-1]
+    found = sums.evidence
+    assert found.flanks.shape == (len(beams), 2, 2)
+    assert len(found.likelihood) == len(found.hits) == found.fine_at[-1]
     for index, one in enumerate(beams):
         likelihood, hits = sums.fine(index)
         assert len(likelihood) == len(hits) == round(COARSE / FINE) * len(sums.coarse(index))
@@ -63,7 +64,7 @@ def test_sums__have_bins_for_each_beam_and_its_margins(lengths):
 
 
 def test_sums__without_flanks_ask_for_none():
-    assert Sums([beam()]).flanks.shape == (0, 2, 2)
+    assert Sums([beam()]).evidence.flanks.shape == (0, 2, 2)
 
 
 @given(PLACES, PLACES)
@@ -81,13 +82,15 @@ def test_coarse_bins__are_those_with_their_middles_on_the_stretch(one, other):
 def test_normal_matrix__is_that_of_the_jacobian():
     rng = np.random.default_rng(0)
     uv, s, residuals = rng.normal(size=(30, 2)), rng.uniform(-1, 1, 30), rng.normal(size=30)
-    jacobian = np.column_stack([uv, s[:, None] * uv])
-    u, v, su, sv = jacobian.T
-    rows = np.zeros((30, 16))
+    jacobian = np.column_stack([uv, s[:, None] * uv, rng.normal(size=30)])
+    u, v, su, sv, r = jacobian.T
+    rows = np.zeros((30, 22))
     rows[:, :9] = np.column_stack(
         [u * u, u * v, v * v, u * su, u * sv, v * sv, su * su, su * sv, sv * sv]
     )
-    rows[:, 9:13] = jacobian * residuals[:, None]
+    rows[:, 9:13] = jacobian[:, :4] * residuals[:, None]
+    rows[:, 16:21] = jacobian * r[:, None]
+    rows[:, 21] = r * residuals
     matrix, right = normal_matrix(rows)
     np.testing.assert_allclose(matrix, jacobian.T @ jacobian, atol=1e-12)
     np.testing.assert_allclose(right, jacobian.T @ residuals, atol=1e-12)

@@ -56,6 +56,8 @@ def told(one, offset, *, per_bin=40, noise=0.0, seed=0, like=4.0):
         row[:9] = [product.sum() for product in products]
         row[9:13] = [(part * e).sum() for part in (u, v, su, sv)]
         row[13:16] = (e * e).sum(), per_bin, per_bin
+        score = np.append(row[9:13], 0.0)
+        sums.evidence.scatter[0] += np.outer(score, score)
     return sums
 
 
@@ -91,7 +93,8 @@ def test_refit__tells_how_certain_the_axis_is():
         sums = told(GOOD, lambda s: np.zeros(2), noise=1.0, seed=seed, per_bin=10)
         moved = refit(GOOD, 0, GOOD.first, GOOD.last, sums)
         steps.append([moved.at(0.0) @ part for part in GOOD.normals])
-        matrices.append(moved.covariance[:2, :2])
+        across = np.array(GOOD.normals)
+        matrices.append(across @ moved.covariance[:3, :3] @ across.T)
         assert moved.reduced_chi2 == pytest.approx(1.0, abs=0.25)
     spread = np.std(steps, axis=0)
     np.testing.assert_allclose(spread, np.sqrt(np.diag(np.mean(matrices, axis=0))), rtol=0.3)
@@ -128,6 +131,7 @@ def naive_bend(one, sums):
 
     def left_over(part):
         matrix, right = normal_matrix(part)
+        matrix, right = matrix[:4, :4], right[:4]
         return part[:, 13].sum() - right @ np.linalg.lstsq(matrix, right, rcond=None)[0]
 
     least = round(0.25 / COARSE)

@@ -3,19 +3,21 @@
 A ray that returned from where a beam's surface is *explains* it; one that returned from
 behind, or not at all, *saw through* it; one that returned from before it, or whose way is
 blocked by another beam, says nothing. Beams compete: a return that another beam explains
-as well is no evidence. Everything is in the sensor frame.
+as well is no evidence.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from beamseg_batch.accelerate import kernel
-from beamseg_batch.cylinder.ray_kernels import enter_cylinder, finite_depth
+from beamseg_batch.cylinder.meeting_kernels import Cylinders, Meetings, View, forget, meet, rivals
 from beamseg_batch.geometry import FloatArray
 
-__all__ = ["COARSE", "FINE", "NORMAL_COLUMNS", "gather"]
+__all__ = ["COARSE", "FINE", "NORMAL_COLUMNS", "Evidence", "gain", "gather"]
 
 FINE = 0.004
 """Length of a bin of the likelihood along an axis, metres."""
@@ -23,324 +25,204 @@ FINE = 0.004
 COARSE = 0.02
 """Length of a bin of the normal equations along an axis, metres."""
 
-NORMAL_COLUMNS = 16
-"""Nine products of the derivatives, four with the residual, its square, rays, weight."""
+NORMAL_COLUMNS = 22
+"""Nine products of the axis' derivatives, four with the residual, its square, rays, weight;
+then five products of the radius' derivative with those and itself, and with the residual."""
 
-_GATE = 4.0  # a residual of so many sigmas is still explained
+GATE = 4.0
+"""A residual of so many sigmas is still explained."""
+
 _THROUGH = -4.0  # log-likelihood ratio of a ray that saw through
 _EDGE = 0.8  # share of the radius beyond which a ray that passes proves nothing
 _MIN_INCIDENCE = 0.2
-_FLANK = 1.35  # radii from the axis at which a beam's surroundings begin
-_FLANK_FROM, _FLANK_TO = 0.01, 0.06  # and where they are looked at, metres further
 _CONTESTED = 2.0  # sigmas by which a ray must fit one beam better than any other
+_FEWEST_ALONE = 3
+
+
+class Evidence(NamedTuple):
+    """Sums over rays, by beam and along its axis.
+
+    Attributes
+    ----------
+    fine_at, coarse_at : (M + 1,) int64
+        First bin of each beam.
+    likelihood, hits : (F,) float64
+        By fine bin: log-likelihood ratio, rays explained by the beam alone.
+    normal : (C, 22) float64
+        By coarse bin: normal equations of the axis and the radius.
+    scans : (M,) int64
+        Scans with at least three rays that are explained by the beam alone.
+    flanks : (M, 2, 2) float64
+        Rays that pass a beam closely on its left and right, and found something at its
+        depth, or nothing. Not asked for where it is empty.
+    scatter : (M, 5, 5) float64
+        Sums over scans of the product with itself of a scan's right-hand side of the normal
+        equations: how far scans, not rays, disagree.
+    asked : (M,) int64
+        Meetings of rays with the beam: where there is none, nothing was added.
+    """
+
+    fine_at: NDArray[np.int64]
+    coarse_at: NDArray[np.int64]
+    likelihood: FloatArray
+    hits: FloatArray
+    normal: FloatArray
+    scans: NDArray[np.int64]
+    flanks: FloatArray
+    scatter: FloatArray
+    asked: NDArray[np.int64]
 
 
 @kernel
-def _pixels(
-    a: FloatArray,
-    b: FloatArray,
-    begin: float,
-    end: float,
-    radius: float,
-    width: int,
-    height: int,
-    image: FloatArray,
-) -> tuple[int, int, int, int]:
-    """First row, row past the last, and the same of columns that a beam can appear in.
+def gain(residual: float, hidden: bool, best: float, side: float, background: float) -> float:
+    """Log-likelihood ratio of a ray that meets a beam: the beam against none.
 
-    A straight line is straight in the image, so what lies between two balls around its
-    ends lies between their images. What is nearer than a radius and a bit is let go.
+    Parameters
+    ----------
+    residual : float
+        Measured depth less the beam's, sigmas.
+    hidden : bool
+        Whether a competitor stands before it.
+    best : float
+        Least distance of the measured depth from a competitor, sigmas.
+    side : float
+        Distance of the ray's line from the axis, as a share of the radius.
+    background : float
+        Cost of a return that no beam explains, as half a squared residual.
+
+    Returns
+    -------
+    float
     """
-    least = radius + 0.05
-    first_x, last_x = a[0] + begin * b[0], a[0] + end * b[0]
-    if first_x < least and last_x < least:
-        return 0, 0, 0, 0
-    if first_x < least:
-        begin += (least - first_x) / b[0]
-    if last_x < least:
-        end += (least - last_x) / b[0]
-    low_u, high_u, low_v, high_v = np.inf, -np.inf, np.inf, -np.inf
-    for s in (begin, end):
-        x, y, z = a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]
-        near, far = x - radius, x + radius
-        low_u = min(low_u, (y - radius) / near, (y - radius) / far)
-        high_u = max(high_u, (y + radius) / near, (y + radius) / far)
-        low_v = min(low_v, (z - radius) / near, (z - radius) / far)
-        high_v = max(high_v, (z + radius) / near, (z + radius) / far)
-    column_1, column_2 = (low_u - image[0]) / image[1], (high_u - image[0]) / image[1]
-    row_1, row_2 = (low_v - image[2]) / image[3], (high_v - image[2]) / image[3]
-    first_column = int(max(np.floor(min(column_1, column_2)), 0.0))
-    first_row = int(max(np.floor(min(row_1, row_2)), 0.0))
-    last_column = int(min(np.ceil(max(column_1, column_2)) + 1.0, float(width)))
-    last_row = int(min(np.ceil(max(row_1, row_2)) + 1.0, float(height)))
-    return (
-        first_row,
-        max(last_row, first_row),
-        first_column,
-        max(last_column, first_column),
-    )
+    if hidden or residual < -GATE:
+        return 0.0
+    if residual > GATE:
+        return _THROUGH if side < _EDGE else 0.0
+    return min(0.5 * best * best, background) - min(0.5 * residual * residual, background)
+
+
+@kernel
+def _weigh(
+    row: FloatArray, score: FloatArray, weight: float, s: float, u: float, v: float, r: float,
+    e: float,
+) -> None:  # fmt: skip
+    """Add a ray to the normal equations of a bin, and to the right-hand side of its scan."""
+    su, sv = s * u, s * v
+    row[0] += weight * u * u
+    row[1] += weight * u * v
+    row[2] += weight * v * v
+    row[3] += weight * su * u
+    row[4] += weight * su * v
+    row[5] += weight * sv * v
+    row[6] += weight * su * su
+    row[7] += weight * su * sv
+    row[8] += weight * sv * sv
+    row[9] += weight * u * e
+    row[10] += weight * v * e
+    row[11] += weight * su * e
+    row[12] += weight * sv * e
+    row[13] += weight * e * e
+    row[14] += 1.0
+    row[15] += weight
+    row[16] += weight * u * r
+    row[17] += weight * v * r
+    row[18] += weight * su * r
+    row[19] += weight * sv * r
+    row[20] += weight * r * r
+    row[21] += weight * r * e
+    score[0] += weight * u * e
+    score[1] += weight * v * e
+    score[2] += weight * su * e
+    score[3] += weight * sv * e
+    score[4] += weight * r * e
 
 
 @kernel
 def gather(
-    points: NDArray[np.floating],
-    rays: FloatArray,
-    width: int,
-    image: FloatArray,
-    noise: float,
-    noise_relative: float,
-    low: FloatArray,
-    high: FloatArray,
-    up: FloatArray,
-    height: float,
-    floor: float,
-    anchors: FloatArray,
-    directions: FloatArray,
-    us: FloatArray,
-    vs: FloatArray,
-    radii: FloatArray,
-    firsts: FloatArray,
-    lasts: FloatArray,
-    ranks: NDArray[np.int64],
-    limits: NDArray[np.int64],
-    starts: FloatArray,
-    fine_at: NDArray[np.int64],
-    coarse_at: NDArray[np.int64],
-    likelihood: FloatArray,
-    hits: FloatArray,
-    normal: FloatArray,
-    scans: NDArray[np.int64],
-    flanks: FloatArray,
+    view: View,
+    beams: Cylinders,
+    evidence: Evidence,
     tukey: float,
     background: float,
-    head: NDArray[np.int64],
-    pixels: NDArray[np.int64],
-    chain: NDArray[np.int64],
-    who: NDArray[np.int64],
-    meetings: FloatArray,
+    meetings: Meetings,
+    alone: NDArray[np.int64],
+    scores: FloatArray,
 ) -> None:
     """Add what a scan says about each beam to sums along its axis.
 
     Parameters
     ----------
-    points : (R, 3) float32 or float64, metres, x forward
-        Not finite where nothing returned.
-    rays : (R, 3) float64, unit vectors
-        Direction of each pixel, for those without return; zero where it is not known.
-    width : int
-        Pixels of a row; 0 for a cloud without rows.
-    image : (4,) float64
-        ``y / x`` of the first column and its step to the next, ``z / x`` of the first row
-        and its step.
-    noise, noise_relative : float
-        Standard deviation of the forward depth: metres, and share of the depth.
-    low, high : (3,) float64, metres
-        Window outside of which nothing counts.
-    up : (3,) float64
-        The world's z axis; with `height`, the sensor's, and `floor`, metres, it gives the
-        floor trim.
-    anchors, directions : (M, 3) float64
-    us, vs : (M, 3) float64, unit vectors
-        Normal to each axis and to one another; the normal equations are in these.
-    radii, firsts, lasts : (M,) float64, metres
-        Radius of each beam, and its ends along its axis.
-    ranks, limits : (M,) int64
-        Beam ``o`` competes with ``j`` where ``ranks[o] <= limits[j]``.
-    starts : (M,) float64, metres
-        Where the first bin of a beam begins, along its axis.
-    fine_at, coarse_at : (M + 1,) int64
-        First bin of each beam.
-    likelihood, hits : (F,) float64
-        Sums by fine bin, added to: log-likelihood ratio, rays explained.
-    normal : (C, 16) float64
-        Sums by coarse bin, added to.
-    scans : (M,) int64
-        Added to where at least three rays are explained by the beam alone.
-    flanks : (M, 2, 2) float64
-        Added to: rays that pass a beam closely on its left and right, and found something
-        at its depth, or nothing. Not asked for where it is empty.
+    view : View
+    beams : Cylinders
+        Asked about from the first bin to the last.
+    evidence : Evidence
+        Added to.
     tukey : float
         Reach of Tukey's weight, in sigmas.
     background : float
         Cost of a return that no beam explains, as half a squared residual.
-    head, pixels : (R,) int64
-        Scratch; `head` is -1 before and after.
-    chain, who : (K,) int64
-    meetings : (6, K) float64
-        Scratch for what may meet; beyond K it is left out.
+    meetings : Meetings
+        Scratch.
+    alone : (M,) int64
+    scores : (M, 5) float64
+        Scratch, zero before and after.
     """
-    num_beams = len(anchors)
-    num_rays = len(points)
-    reach = 0.0
-    for axis in range(3):
-        reach += max(low[axis] * low[axis], high[axis] * high[axis])
-    reach = np.sqrt(reach)
-    ask_flanks = len(flanks) == num_beams
-    along, side, residual = meetings[0], meetings[1], meetings[2]
-    entries, sigmas, nearest = meetings[3], meetings[4], meetings[5]
-    # Rays that may meet a beam, chained by pixel: most pixels meet none.
-    used = 0
-    touched = 0
-    for j in range(num_beams):
-        a, b, radius = anchors[j], directions[j], radii[j]
-        ab = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-        begin = starts[j]
-        end = begin + (fine_at[j + 1] - fine_at[j]) * FINE
-        closest = min(max(-ab, begin), end)
-        gone = 0.0
-        for axis in range(3):
-            gone += (a[axis] + closest * b[axis]) ** 2
-        if gone > (reach + radius) ** 2:
-            continue
-        inner = _FLANK * radius + _FLANK_FROM
-        outer = _FLANK * radius + _FLANK_TO if ask_flanks else radius
-        row_first, row_last, column_first, column_last = 0, 1, 0, num_rays
-        if width > 0:
-            row_first, row_last, column_first, column_last = _pixels(
-                a, b, begin, end, outer, width, num_rays // width, image
-            )
-        mx, my, mz = b[1] * a[2] - b[2] * a[1], b[2] * a[0] - b[0] * a[2], b[0] * a[1] - b[1] * a[0]
-        for pixel in range((row_last - row_first) * (column_last - column_first)):
-            k = pixel
-            if width > 0:
-                columns = column_last - column_first
-                k = (row_first + pixel // columns) * width + column_first + pixel % columns
-            wx, wy, wz = (
-                np.float64(points[k, 0]),
-                np.float64(points[k, 1]),
-                np.float64(points[k, 2]),
-            )
-            depth = np.sqrt(wx * wx + wy * wy + wz * wz)
-            if np.isfinite(depth) and depth > 0.0:
-                wx, wy, wz = wx / depth, wy / depth, wz / depth
-            else:
-                wx, wy, wz, depth = rays[k, 0], rays[k, 1], rays[k, 2], np.inf
-            mixed = wx * mx + wy * my + wz * mz
-            wb = wx * b[0] + wy * b[1] + wz * b[2]
-            across = 1.0 - wb * wb
-            if mixed * mixed > outer * outer * across:
-                continue
-            if mixed * mixed > radius * radius * across:
-                middle = (wx * a[0] + wy * a[1] + wz * a[2] - wb * ab) / across
-                s = middle * wb - ab
-                x, y, z = middle * wx, middle * wy, middle * wz
-                if (
-                    mixed * mixed > inner * inner * across
-                    and middle > 0.0
-                    and firsts[j] <= s <= lasts[j]
-                    and low[0] <= x <= high[0]
-                    and low[1] <= y <= high[1]
-                    and low[2] <= z <= high[2]
-                    and up[0] * x + up[1] * y + up[2] * z + height >= floor
-                    and used < len(who)
-                ):
-                    sigma = np.sqrt(noise * noise + (noise_relative * x) ** 2) / wx
-                    who[used], along[used], side[used] = j, s, 2.0 if mixed > 0.0 else -2.0
-                    entries[used], sigmas[used], nearest[used] = middle, sigma, np.inf
-                    residual[used] = (depth - middle) / sigma
-                    if head[k] < 0:
-                        pixels[touched] = k
-                        touched += 1
-                    chain[used] = head[k]
-                    head[k] = used
-                    used += 1
-                continue
-            entry, leave, s, lateral = enter_cylinder(
-                wx, wy, wz, a[0], a[1], a[2], b[0], b[1], b[2], radius
-            )
-            if not (entry > 0.0 and begin <= s < end):
-                continue
-            x, y, z = entry * wx, entry * wy, entry * wz
-            if not (low[0] <= x <= high[0] and low[1] <= y <= high[1] and low[2] <= z <= high[2]):
-                continue
-            if up[0] * x + up[1] * y + up[2] * z + height < floor or used == len(who):
-                continue
-            sigma = np.sqrt(noise * noise + (noise_relative * x) ** 2) / wx
-            who[used], along[used], side[used] = j, s, lateral / radius
-            entries[used], sigmas[used] = entry, sigma
-            residual[used] = (depth - entry) / sigma
-            nearest[used] = finite_depth(entry, leave, s, wb, ab, firsts[j], lasts[j])
-            if head[k] < 0:
-                pixels[touched] = k
-                touched += 1
-            chain[used] = head[k]
-            head[k] = used
-            used += 1
-    alone = np.zeros(num_beams, np.int64)
+    flanks = evidence.flanks
+    touched = meet(view, beams, meetings, len(flanks) > 0)
     for number in range(touched):
-        k = pixels[number]
-        slot = head[k]
-        while slot >= 0:
-            this = slot
-            slot = chain[this]
-            j, s, e, entry = who[this], along[this], residual[this], entries[this]
-            depth = entry + e * sigmas[this]
-            before, best = np.inf, np.inf
-            other = head[k]
-            while other >= 0:
-                near = nearest[other]
-                if other != this and near < np.inf and ranks[who[other]] <= limits[j]:
-                    before = min(before, near)
-                    best = min(best, abs(depth - near) / sigmas[this])
-                other = chain[other]
-            if abs(side[this]) > 1.0:
-                reaches = 2.0 * radii[j] / sigmas[this] + _GATE
-                if best > _GATE and e >= -reaches:
-                    flanks[j, int(side[this] > 0.0), int(e > reaches)] += 1.0
-                continue
-            hidden = entry >= before
-            if e < -_GATE or (hidden and e > _GATE):
+        k = meetings.pixels[number]
+        wx, wy, wz = meetings.sight[k, 0], meetings.sight[k, 1], meetings.sight[k, 2]
+        this = meetings.head[k]
+        while this >= 0:
+            j, s, e = meetings.who[this], meetings.along[this], meetings.residual[this]
+            side, entry, sigma = meetings.side[this], meetings.entry[this], meetings.sigma[this]
+            before, best = rivals(beams, meetings, k, this)
+            this = meetings.chain[this]
+            evidence.asked[j] += 1
+            radius = beams.radii[j]
+            if abs(side) > 1.0:
+                reaches = 2.0 * radius / sigma + GATE
+                if best > GATE and e >= -reaches:
+                    flanks[j, int(side > 0.0), int(e > reaches)] += 1.0
                 continue
             # A place just before the end may round up to it.
-            fine = min(fine_at[j] + int((s - starts[j]) / FINE), fine_at[j + 1] - 1)
-            if e > _GATE:
-                if side[this] < _EDGE:
-                    likelihood[fine] += _THROUGH
+            start = beams.starts[j]
+            fine = evidence.fine_at[j] + int((s - start) / FINE)
+            fine = min(fine, evidence.fine_at[j + 1] - 1)
+            evidence.likelihood[fine] += gain(e, entry >= before, best, side, background)
+            if abs(e) > GATE or best <= abs(e) + _CONTESTED:
                 continue
-            if not hidden:
-                gain = min(0.5 * best * best, background) - min(0.5 * e * e, background)
-                likelihood[fine] += gain
-            explained = best > abs(e) + _CONTESTED
-            if explained:
-                hits[fine] += 1.0
-            inside = firsts[j] <= s <= lasts[j]
-            if not inside or not explained or abs(e) >= tukey:
+            evidence.hits[fine] += 1.0
+            if not beams.firsts[j] <= s <= beams.lasts[j] or abs(e) >= tukey:
                 continue
             alone[j] += 1
-            a, b = anchors[j], directions[j]
-            # A ray with a fitting depth returned, so its point tells its direction.
-            wx, wy, wz = points[k, 0] / depth, points[k, 1] / depth, points[k, 2] / depth
-            nx = (entry * wx - a[0] - s * b[0]) / radii[j]
-            ny = (entry * wy - a[1] - s * b[1]) / radii[j]
-            nz = (entry * wz - a[2] - s * b[2]) / radii[j]
+            a, b, u, v = beams.anchors[j], beams.directions[j], beams.us[j], beams.vs[j]
+            nx = (entry * wx - a[0] - s * b[0]) / radius
+            ny = (entry * wy - a[1] - s * b[1]) / radius
+            nz = (entry * wz - a[2] - s * b[2]) / radius
             incidence = nx * wx + ny * wy + nz * wz
             if abs(incidence) < _MIN_INCIDENCE:
                 continue
             share = e / tukey
-            weight = (1.0 - share * share) ** 2
-            scale = 1.0 / sigmas[this]
-            u = (nx * us[j, 0] + ny * us[j, 1] + nz * us[j, 2]) / incidence * scale
-            v = (nx * vs[j, 0] + ny * vs[j, 1] + nz * vs[j, 2]) / incidence * scale
-            coarse = min(coarse_at[j] + int((s - starts[j]) / COARSE), coarse_at[j + 1] - 1)
-            row = normal[coarse]
-            su, sv = s * u, s * v
-            row[0] += weight * u * u
-            row[1] += weight * u * v
-            row[2] += weight * v * v
-            row[3] += weight * su * u
-            row[4] += weight * su * v
-            row[5] += weight * sv * v
-            row[6] += weight * su * su
-            row[7] += weight * su * sv
-            row[8] += weight * sv * sv
-            row[9] += weight * u * e
-            row[10] += weight * v * e
-            row[11] += weight * su * e
-            row[12] += weight * sv * e
-            row[13] += weight * e * e
-            row[14] += 1.0
-            row[15] += weight
-    for number in range(touched):
-        head[pixels[number]] = -1
-    for j in range(num_beams):
-        scans[j] += alone[j] >= 3
+            scale = 1.0 / (incidence * sigma)
+            coarse = evidence.coarse_at[j] + int((s - start) / COARSE)
+            coarse = min(coarse, evidence.coarse_at[j + 1] - 1)
+            _weigh(
+                evidence.normal[coarse],
+                scores[j],
+                (1.0 - share * share) ** 2,
+                s,
+                (nx * u[0] + ny * u[1] + nz * u[2]) * scale,
+                (nx * v[0] + ny * v[1] + nz * v[2]) * scale,
+                scale,
+                e,
+            )
+    forget(meetings, touched)
+    for j in range(len(alone)):
+        if alone[j] > 0:
+            evidence.scans[j] += alone[j] >= _FEWEST_ALONE
+            for row in range(5):
+                for column in range(5):
+                    evidence.scatter[j, row, column] += scores[j, row] * scores[j, column]
+            scores[j] = 0.0
+            alone[j] = 0

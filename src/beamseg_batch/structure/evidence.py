@@ -3,30 +3,32 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from beamseg_batch.config import RunConfig
-from beamseg_batch.cylinder.evidence_kernels import gather
-from beamseg_batch.cylinder.ray_kernels import on_cylinders
 from beamseg_batch.geometry import FloatArray
-from beamseg_batch.model import DepthNoise, Detections, Intersection, Scan, Segment
+from beamseg_batch.model import DepthNoise, Detections, Intersection, Segment
 from beamseg_batch.structure.candidates import Candidates
+from beamseg_batch.structure.ends import with_measured_ends
 from beamseg_batch.structure.hypothesis import Beam, Sums
 from beamseg_batch.structure.intersections import intersections_of
+from beamseg_batch.structure.pixel_rays import PixelRays
+from beamseg_batch.structure.questions import (
+    AxisQuestion,
+    Camera,
+    EndQuestion,
+    LeftoverQuestion,
+    Leftovers,
+)
 from beamseg_batch.structure.refinement import PassRules, refined
 
-__all__ = ["EvidenceStructure", "Leftovers"]
+__all__ = ["EvidenceStructure"]
 
-_TYPICAL_DEPTH_M = 1.0
-_EXPLAINED_SIGMAS = 3.5
-_POOLED_SCANS = 25
 _SETTLED_M = 0.001
 _BEHIND = 0.8  # radii from the visible surface to the axis, on average
-_RANGE_M = 3.0  # where a return that no beam explains may lie, for its likelihood
 
 
 @dataclass(frozen=True)
@@ -74,10 +76,9 @@ class EvidenceStructure:
 
     def __init__(self, config: RunConfig, noise: DepthNoise) -> None:
         self.config = config
-        self.noise = noise
-        self._sigma = noise.at(_TYPICAL_DEPTH_M)
-        self._candidates = Candidates(self._sigma)
-        self._pixels = _PixelRays()
+        self._pixels = PixelRays()
+        self._camera = Camera(config.filtering, noise, self._pixels)
+        self._candidates = Candidates(self._camera.sigma)
         self._beams: list[Beam] | None = None
         self._waiting = list(_FRESH)
         self._searched = False
@@ -102,50 +103,40 @@ class EvidenceStructure:
         """Whether the beams explain what they can, so that it is time to search the rest."""
         return not self._searched and not self._waiting
 
-    def refine(self, scans: Iterable[Scan]) -> bool:
-        """Ask all rays of the flight about the present beams, and renew these.
+    def question(self) -> AxisQuestion:
+        """Return what all rays of the flight should be asked next about the present beams."""
+        kind = self._next_pass()
+        return AxisQuestion(
+            self._hypothesis(),
+            self._camera,
+            competitors=kind.competitors,
+            tukey=kind.tukey,
+            flanks=kind.flanks,
+        )
+
+    def renew(self, sums: Sums) -> bool:
+        """Renew the beams by what all rays answered to the last `question`.
 
         Parameters
         ----------
-        scans : iterable of Scan
-            All of the flight.
+        sums : Sums
 
         Returns
         -------
         bool
             Whether another pass would change anything.
         """
-        beams = self._hypothesis()
-        kind = self._waiting.pop(0) if self._waiting else _SETTLING
-        question = _Question(beams, kind, self.config, self.noise)
-        for scan in scans:
-            question.ask(scan, self._pixels)
-        self._beams = refined(beams, question.sums, self._sigma, kind.rules)
+        beams, kind = self._hypothesis(), self._next_pass()
+        self._waiting = self._waiting[1:]
+        self._beams = refined(beams, sums, self._camera.sigma, kind.rules)
         return bool(self._waiting) or not self._searched or _have_moved(beams, self._beams)
 
-    def leftovers(self, scans: Iterable[Scan]) -> Iterator[Leftovers]:
-        """Pool the returns that no beam explains, of some scans at a time.
+    def _next_pass(self) -> _Pass:
+        return self._waiting[0] if self._waiting else _SETTLING
 
-        Parameters
-        ----------
-        scans : iterable of Scan
-            All of the flight.
-
-        Yields
-        ------
-        Leftovers
-        """
-        question = _Question(self._hypothesis(), _SETTLING, self.config, self.noise)
-        points: list[FloatArray] = []
-        origins: list[FloatArray] = []
-        for scan in scans:
-            points.append(question.unexplained(scan, _EXPLAINED_SIGMAS * self._sigma))
-            origins.append(scan.T_world_sensor.translation)
-            if len(points) == _POOLED_SCANS:
-                yield Leftovers(np.concatenate(points), np.mean(origins, axis=0), scan.stamp_ns)
-                points, origins = [], []
-        if points:
-            yield Leftovers(np.concatenate(points), np.mean(origins, axis=0), scan.stamp_ns)
+    def leftover_question(self) -> LeftoverQuestion:
+        """Return which rays of the flight no beam explains."""
+        return LeftoverQuestion(self._hypothesis(), self._camera)
 
     def propose(self, found: Iterable[tuple[Segment, Leftovers]]) -> None:
         """Add beams to the hypothesis; those of one axis become one.
@@ -156,7 +147,7 @@ class EvidenceStructure:
             On the surface, world frame, and what it was found in.
         """
         self._searched = True
-        candidates = Candidates(self._sigma)
+        candidates = Candidates(self._camera.sigma)
         for segment, left in found:
             away = segment.midpoint - left.seen_from
             away -= (away @ segment.direction) * segment.direction
@@ -167,6 +158,20 @@ class EvidenceStructure:
         if len(candidates):
             self._beams = [*self._hypothesis(), *candidates.beams(1)]
             self._waiting = list(_FRESH)
+
+    def end_question(self) -> EndQuestion:
+        """Return where all rays of the flight put the ends of the present beams."""
+        return EndQuestion(self._hypothesis(), self._camera)
+
+    def set_ends(self, likelihood: FloatArray) -> None:
+        """Move the ends to where the rays put them.
+
+        Parameters
+        ----------
+        likelihood : (M, 2, N) float64
+            What all rays answered to `end_question`.
+        """
+        self._beams = with_measured_ends(self._hypothesis(), likelihood)
 
     def _hypothesis(self) -> list[Beam]:
         if self._beams is None:
@@ -198,152 +203,6 @@ class EvidenceStructure:
         return None
 
 
-@dataclass(frozen=True, eq=False)
-class Leftovers:
-    """Returns of some scans that no beam explains.
-
-    Attributes
-    ----------
-    points : (N, 3) float64, metres, world frame
-    seen_from : (3,) float64, metres, world frame
-        Where the camera was, on average.
-    stamp_ns : int
-        Of the last of the scans.
-    """
-
-    points: FloatArray
-    seen_from: FloatArray
-    stamp_ns: int
-
-
-class _PixelRays:
-    """Direction of each pixel of an organised camera, learned from its returns.
-
-    A pixel without return has no direction of its own, yet it saw through whatever is
-    said to stand there.
-    """
-
-    def __init__(self) -> None:
-        self._sum: FloatArray | None = None
-        self._rays: FloatArray | None = None
-        self._width = 0
-        self._image_width = 0
-        self._image = np.zeros(4)
-
-    def learn(self, scan: Scan) -> None:
-        if scan.height < 2 or scan.width < 2 or len(scan.points) != scan.width * scan.height:
-            return
-        if self._sum is None:
-            self._sum, self._width = np.zeros((len(scan.points), 3)), scan.width
-        if len(scan.points) != len(self._sum) or scan.width != self._width:
-            return
-        points = np.asarray(scan.points, np.float64)
-        finite = np.isfinite(points).all(axis=1)
-        self._sum[finite] += points[finite]
-
-    def of(self, scan: Scan) -> tuple[FloatArray, int, FloatArray]:
-        """Direction of each pixel, or zeros; pixels a row, or 0; the image's scale."""
-        known = self._directions()
-        if known is None or len(known) != len(scan.points) or scan.width != self._width:
-            return np.zeros((len(scan.points), 3)), 0, self._image
-        return known, self._image_width, self._image
-
-    def _directions(self) -> FloatArray | None:
-        if self._sum is None:
-            return None
-        if self._rays is None:
-            lengths = np.linalg.norm(self._sum, axis=1)
-            self._rays = self._sum / np.where(lengths > 0.0, lengths, np.inf)[:, None]
-            self._image_width = self._fit_image(self._rays)
-        return self._rays
-
-    def _fit_image(self, rays: FloatArray) -> int:
-        """Find the scale of a pinhole image; the width, or 0 if it is none."""
-        seen = np.flatnonzero(rays[:, 0] > 1e-3)
-        rows, columns = np.divmod(seen, self._width)
-        if len(np.unique(rows)) < 2 or len(np.unique(columns)) < 2:
-            return 0
-        for part, (index, axis) in enumerate(((columns, 1), (rows, 2))):
-            slope = rays[seen, axis] / rays[seen, 0]
-            step, first = np.polyfit(index, slope, 1)
-            if step == 0.0 or np.abs(slope - first - step * index).max() > 0.5 * abs(step):
-                return 0
-            self._image[2 * part : 2 * part + 2] = first, step
-        return self._width
-
-
-class _Question:
-    """What every ray is asked: how well it fits each of these beams."""
-
-    def __init__(
-        self, beams: Sequence[Beam], kind: _Pass, config: RunConfig, noise: DepthNoise
-    ) -> None:
-        self.sums = Sums(beams, flanks=kind.flanks)
-        self.noise = noise
-        self._scratch: tuple[Any, ...] | None = None
-        window = config.filtering.window
-        self.low, self.high = np.array([window.x, window.y, window.z]).T.copy()
-        trimmed = config.filtering.floor_trim != "none"
-        self.floor = config.filtering.floor_trim_height if trimmed else -np.inf
-        self.tukey = kind.tukey
-        self.background = float(
-            np.log(_RANGE_M / (noise.at(_TYPICAL_DEPTH_M) * np.sqrt(2.0 * np.pi)))
-        )
-        self.anchors = _stacked([beam.anchor for beam in beams])
-        self.directions = _stacked([beam.direction for beam in beams])
-        normals = [beam.normals for beam in beams]
-        self.us, self.vs = (_stacked([pair[k] for pair in normals]) for k in (0, 1))
-        self.radii = np.array([beam.radius for beam in beams])
-        self.firsts = np.array([beam.first for beam in beams])
-        self.lasts = np.array([beam.last for beam in beams])
-        order = np.argsort([-beam.score for beam in beams], kind="stable")
-        self.ranks = np.empty(len(beams), np.int64)
-        self.ranks[order] = np.arange(len(beams))
-        below = {"none": -1, "all": len(beams)}
-        self.limits = (
-            self.ranks - 1
-            if kind.competitors == "likelier"
-            else np.full(len(beams), below[kind.competitors])
-        )
-
-    def ask(self, scan: Scan, pixels: _PixelRays) -> None:
-        rays, width, image = pixels.of(scan)
-        scratch = self._scratch_of(len(scan.points))
-        pose = scan.T_world_sensor
-        rotation, origin = pose.rotation, pose.translation
-        gather(
-            scan.points, rays, width, image, self.noise.constant, self.noise.relative,
-            self.low, self.high, rotation[2].copy(), float(origin[2]), self.floor,
-            (self.anchors - origin) @ rotation, self.directions @ rotation,
-            self.us @ rotation, self.vs @ rotation,
-            self.radii, self.firsts, self.lasts, self.ranks, self.limits,
-            self.sums.starts, self.sums.fine_at, self.sums.coarse_at,
-            self.sums.likelihood, self.sums.hits, self.sums.normal, self.sums.scans,
-            self.sums.flanks, self.tukey, self.background, *scratch,
-        )  # fmt: skip
-
-    def unexplained(self, scan: Scan, reach: float) -> FloatArray:
-        """Returns in the window and above the floor that lie on no beam, world frame."""
-        points = np.asarray(scan.points, np.float64)
-        inside = np.all((points >= self.low) & (points <= self.high), axis=1)
-        world = scan.T_world_sensor.apply(points[inside])
-        world = world[world[:, 2] >= self.floor]
-        explained = on_cylinders(
-            world, self.anchors, self.directions, self.firsts, self.lasts, self.radii, reach
-        )
-        left: FloatArray = world[~explained]
-        return left
-
-    def _scratch_of(self, num_rays: int) -> tuple[Any, ...]:
-        if self._scratch is None or len(self._scratch[0]) != num_rays:
-            most = 4 * num_rays + 64
-            self._scratch = (
-                np.full(num_rays, -1), np.empty(num_rays, np.int64),
-                np.empty(most, np.int64), np.empty(most, np.int64), np.empty((6, most)),
-            )  # fmt: skip
-        return self._scratch
-
-
 def _have_moved(before: Sequence[Beam], after: Sequence[Beam]) -> bool:
     """Whether beams came, went, or have an end that moved."""
     if len(before) != len(after):
@@ -353,10 +212,6 @@ def _have_moved(before: Sequence[Beam], after: Sequence[Beam]) -> bool:
     return any(
         np.abs(ends - np.concatenate(beam.ends)).max(axis=1).min() > _SETTLED_M for beam in after
     )
-
-
-def _stacked(vectors: Sequence[FloatArray]) -> FloatArray:
-    return np.array(vectors, np.float64).reshape(-1, 3)
 
 
 def _segment(beam: Beam) -> Segment:
@@ -375,4 +230,8 @@ def _segment(beam: Beam) -> Segment:
         n_scans=beam.scans,
         first_seen_ns=beam.first_seen_ns,
         last_seen_ns=beam.last_seen_ns,
+        covariance=beam.covariance,
+        sigma_radius=beam.sigma_radius,
+        sigma_ends=beam.sigma_ends,
+        ends_seen=beam.ends_seen,
     )

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from beamseg_batch.cylinder.evidence_kernels import COARSE, FINE, NORMAL_COLUMNS
+from beamseg_batch.cylinder.evidence_kernels import COARSE, FINE, NORMAL_COLUMNS, Evidence
 from beamseg_batch.cylinder.ray_kernels import perpendiculars
 from beamseg_batch.geometry import FloatArray
 
-__all__ = ["Beam", "Sums", "normal_matrix"]
+__all__ = ["Answer", "Beam", "Sums", "normal_matrix"]
 
 _MARGIN_BINS = 15
 """Coarse bins beyond each end in which evidence is gathered: 0.3 m."""
@@ -37,9 +39,17 @@ class Beam:
         Scans that hold at least three of them.
     first_seen_ns, last_seen_ns : int
         Stamps of the first and the last scan in which a line of it was found.
-    covariance : (4, 4) float64
-        Of the axis: offsets along `normals` at the anchor, metres, and slopes.
+    covariance : (6, 6) float64, metres and radians
+        Of the anchor and the direction.
     reduced_chi2 : float
+    free_radius, sigma_radius : float, metres
+        The radius, were it measured with the axis, and its standard deviation.
+    snapped : (bool, bool)
+        Whether an end was drawn to another axis.
+    sigma_ends : (2,) float64, metres
+        Standard deviations of the ends along the axis.
+    ends_seen : (bool, bool)
+        Whether rays deny that the beam goes on.
     flanks : (2, 2) float64
         Rays that pass closely on its left and right and found something at its depth, or
         nothing.
@@ -58,8 +68,13 @@ class Beam:
     scans: int = 0
     first_seen_ns: int = 0
     last_seen_ns: int = 0
-    covariance: FloatArray = field(default_factory=lambda: np.zeros((4, 4)))
+    covariance: FloatArray = field(default_factory=lambda: np.full((6, 6), np.nan))
     reduced_chi2: float = 1.0
+    free_radius: float = np.nan
+    sigma_radius: float = np.nan
+    snapped: tuple[bool, bool] = (False, False)
+    sigma_ends: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
+    ends_seen: tuple[bool, bool] = (False, False)
     flanks: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
     profile: FloatArray = field(default_factory=lambda: np.zeros(0))
     profile_start: float = 0.0
@@ -79,6 +94,10 @@ class Beam:
         """(3,), (3,) float64, metres: both ends."""
         return self.at(self.first), self.at(self.last)
 
+    def bare(self) -> Beam:
+        """Return the same beam without its profile, to be sent elsewhere."""
+        return replace(self, profile=np.zeros(0))
+
     def at(self, s: float) -> FloatArray:
         """Point of the axis."""
         return self.anchor + s * self.direction
@@ -86,11 +105,14 @@ class Beam:
     def between(self, first: float, last: float) -> Beam:
         """Return the same axis with other ends, the anchor midway."""
         middle = 0.5 * (first + last)
+        moved = np.eye(6)
+        moved[:3, 3:] = middle * np.eye(3)
         return replace(
             self,
             anchor=self.at(middle),
             first=first - middle,
             last=last - middle,
+            covariance=moved @ self.covariance @ moved.T,
             profile_start=self.profile_start - middle,
         )
 
@@ -102,35 +124,70 @@ class Beam:
 
 
 class Sums:
-    """Evidence about some beams, summed along their axes; two of them can be added.
+    """Evidence about some beams, summed along their axes.
 
     Parameters
     ----------
     beams : sequence of Beam
     flanks : bool
         Whether rays that pass the beams closely are asked, too.
+
+    Attributes
+    ----------
+    starts, stops : (M,) float64, metres
+        The stretch of each axis along which evidence is summed.
+    evidence : Evidence
     """
 
     def __init__(self, beams: Sequence[Beam], *, flanks: bool = False) -> None:
-        self.starts = np.array([beam.first - _MARGIN_BINS * COARSE for beam in beams])
+        count = len(beams)
         lengths = np.array([beam.length for beam in beams])
         bins = np.ceil(lengths / COARSE).astype(np.int64) + 2 * _MARGIN_BINS
-        self.coarse_at = np.concatenate([[0], np.cumsum(bins)]).astype(np.int64)
-        self.fine_at = self.coarse_at * _FINE_A_COARSE
-        self.likelihood = np.zeros(self.fine_at[-1])
-        self.hits = np.zeros(self.fine_at[-1])
-        self.normal = np.zeros((self.coarse_at[-1], NORMAL_COLUMNS))
-        self.scans = np.zeros(len(beams), np.int64)
-        self.flanks = np.zeros((len(beams) if flanks else 0, 2, 2))
+        coarse_at = np.concatenate([[0], np.cumsum(bins)]).astype(np.int64)
+        fine_at = coarse_at * _FINE_A_COARSE
+        self.starts = np.array([beam.first - _MARGIN_BINS * COARSE for beam in beams])
+        self.stops = self.starts + np.diff(fine_at) * FINE
+        self.evidence = Evidence(
+            fine_at=fine_at,
+            coarse_at=coarse_at,
+            likelihood=np.zeros(fine_at[-1]),
+            hits=np.zeros(fine_at[-1]),
+            normal=np.zeros((coarse_at[-1], NORMAL_COLUMNS)),
+            scans=np.zeros(count, np.int64),
+            flanks=np.zeros((count if flanks else 0, 2, 2)),
+            scatter=np.zeros((count, 5, 5)),
+            asked=np.zeros(count, np.int64),
+        )
+
+    def answer(self) -> Answer:
+        """What was summed of the beams that were asked about."""
+        beams = np.flatnonzero(self.evidence.asked)
+        rows = self._rows(beams)
+        return Answer(beams, {name: getattr(self.evidence, name)[rows[name]] for name in rows})
+
+    def add(self, answer: Answer) -> None:
+        """Take in what some scans answered about the same beams."""
+        for name, rows in self._rows(answer.beams).items():
+            getattr(self.evidence, name)[rows] += answer.sums[name]
+
+    def _rows(self, beams: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+        """Which rows of each sum belong to some beams."""
+        chosen = np.zeros(len(self.starts), np.bool_)
+        chosen[beams] = True
+        fine = np.repeat(chosen, np.diff(self.evidence.fine_at))
+        rows = dict.fromkeys(("asked", "scans", "scatter"), chosen)
+        rows |= {"flanks": chosen} if len(self.evidence.flanks) else {}
+        rows |= {"likelihood": fine, "hits": fine}
+        return rows | {"normal": np.repeat(chosen, np.diff(self.evidence.coarse_at))}
 
     def fine(self, index: int) -> tuple[FloatArray, FloatArray]:
         """Log-likelihood ratios and hits of one beam, by fine bin."""
-        part = slice(self.fine_at[index], self.fine_at[index + 1])
-        return self.likelihood[part], self.hits[part]
+        part = slice(*self.evidence.fine_at[index : index + 2])
+        return self.evidence.likelihood[part], self.evidence.hits[part]
 
     def coarse(self, index: int) -> FloatArray:
-        """(N, 16) float64: normal equations of one beam, by coarse bin."""
-        return self.normal[self.coarse_at[index] : self.coarse_at[index + 1]]
+        """(N, 22) float64: normal equations of one beam, by coarse bin."""
+        return self.evidence.normal[slice(*self.evidence.coarse_at[index : index + 2])]
 
     def place(self, index: int, fine_bin: float) -> float:
         """Where a fine bin of a beam begins, along its axis, metres."""
@@ -143,21 +200,45 @@ class Sums:
         return slice(max(low, 0), max(high, 0))
 
 
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What the rays of some scans say of those beams that they were asked about.
+
+    Attributes
+    ----------
+    beams : (B,) int64
+        Indices into the beams of the question.
+    sums : mapping of str to array
+        Their rows of each sum of `beamseg_batch.cylinder.evidence_kernels.Evidence`.
+    """
+
+    beams: NDArray[np.int64]
+    sums: Mapping[str, NDArray[Any]]
+
+
 def normal_matrix(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Normal equations of an axis from the sums of some bins.
+    """Normal equations of an axis and a radius from the sums of some bins.
 
     Parameters
     ----------
-    rows : (N, 16) float64
+    rows : (N, 22) float64
 
     Returns
     -------
-    matrix : (4, 4) float64
-    right : (4,) float64
+    matrix : (5, 5) float64
+        The axis' offsets and slopes, then the radius.
+    right : (5,) float64
     """
-    uu, uv, vv, suu, suv, svv, ssuu, ssuv, ssvv = rows[:, :9].sum(axis=0)
+    total = rows.sum(axis=0)
+    uu, uv, vv, suu, suv, svv, ssuu, ssuv, ssvv = total[:9]
+    ur, vr, sur, svr, rr = total[16:21]
     matrix = np.array(
-        [[uu, uv, suu, suv], [uv, vv, suv, svv], [suu, suv, ssuu, ssuv], [suv, svv, ssuv, ssvv]]
+        [
+            [uu, uv, suu, suv, ur],
+            [uv, vv, suv, svv, vr],
+            [suu, suv, ssuu, ssuv, sur],
+            [suv, svv, ssuv, ssvv, svr],
+            [ur, vr, sur, svr, rr],
+        ]
     )
-    right: FloatArray = rows[:, 9:13].sum(axis=0)
-    return matrix, right
+    return matrix, np.append(total[9:13], total[21])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +25,7 @@ LEAST_LENGTH = 0.18
 TRIM_A_HIT = 0.1
 MOST_ATTACHED = 0.45
 FEWEST_BESIDE = 20.0
+_OWN_SCANS = 5  # scans' worth of trust in rays that are independent
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,7 @@ def stands_free(beam: Beam) -> bool:
 
 
 def _renewed(beam: Beam, index: int, sums: Sums, noise: float, rules: PassRules) -> list[Beam]:
+    evidence = sums.evidence
     likelihood, hits = sums.fine(index)
     stretches = best_intervals(likelihood, INTERVAL_COST)
     if len(stretches) == 0:
@@ -90,8 +93,9 @@ def _renewed(beam: Beam, index: int, sums: Sums, noise: float, rules: PassRules)
             beam,
             score=float(likelihood[begin:end].sum()),
             hits=float(hits[begin:end].sum()),
-            scans=int(sums.scans[index]),
-            flanks=sums.flanks[index] if len(sums.flanks) else beam.flanks,
+            scans=int(evidence.scans[index]),
+            flanks=evidence.flanks[index] if len(evidence.flanks) else beam.flanks,
+            snapped=(False, False),
             profile=likelihood,
             profile_start=float(sums.starts[index]),
         )
@@ -120,24 +124,53 @@ def refit(beam: Beam, index: int, first: float, last: float, sums: Sums) -> Beam
     if rows[:, 14].sum() < 8:
         return beam.between(first, last)
     matrix, right = normal_matrix(rows)
-    step, regular = solve_4(matrix, right)
+    step, regular = solve_4(matrix[:4, :4], right[:4])
     if not regular:
         return beam.between(first, last)
+    chi2 = (rows[:, 13].sum() - right[:4] @ step) / rows[:, 15].sum()
     step = np.clip(step, -0.05, 0.05)
     u, v = beam.normals
-    anchor = beam.anchor + step[0] * u + step[1] * v
     direction = beam.direction + step[2] * u + step[3] * v
-    direction /= np.linalg.norm(direction)
-    weight = rows[:, 15].sum()
-    chi2 = (rows[:, 13].sum() - right @ step) / weight
     moved = replace(
         beam,
-        anchor=anchor,
-        direction=direction,
-        covariance=np.asarray(np.linalg.inv(matrix), np.float64),
+        anchor=beam.anchor + step[0] * u + step[1] * v,
+        direction=direction / np.linalg.norm(direction),
         reduced_chi2=float(chi2),
+        **_uncertainty(beam, matrix, right, sums.evidence.scatter[index]),
     )
     return moved.between(first, last)
+
+
+def _uncertainty(
+    beam: Beam, matrix: FloatArray, right: FloatArray, scatter: FloatArray
+) -> dict[str, Any]:
+    """Covariance of the axis, and the radius that fits best, with its deviation.
+
+    The normal equations are those of independent rays; what rays of one scan have in common,
+    as an error of its pose, shows in how far scans disagree.
+    """
+    scans = beam.scans
+    scatter = (scans * scatter + _OWN_SCANS * matrix) / (scans + _OWN_SCANS)
+    axis = _sandwich(matrix[:4, :4], scatter[:4, :4])
+    whole = _sandwich(matrix, scatter)
+    u, v = beam.normals
+    frame = np.zeros((6, 4))
+    frame[:3, 0], frame[:3, 1], frame[3:, 2], frame[3:, 3] = u, v, u, v
+    found: dict[str, Any] = {"covariance": frame @ axis @ frame.T}
+    if np.isfinite(whole).all():
+        found["free_radius"] = float(beam.radius + np.linalg.solve(matrix, right)[4])
+        found["sigma_radius"] = float(np.sqrt(whole[4, 4]))
+    return found
+
+
+def _sandwich(matrix: FloatArray, scatter: FloatArray) -> FloatArray:
+    """Covariance of a solution of normal equations, NaN where there is none."""
+    try:
+        inverse = np.linalg.inv(matrix)
+    except np.linalg.LinAlgError:
+        return np.full_like(matrix, np.nan)
+    covariance: FloatArray = inverse @ scatter @ inverse
+    return covariance
 
 
 def bend(
@@ -167,8 +200,8 @@ def bend(
 
 def _gain(total: FloatArray) -> tuple[float, FloatArray]:
     matrix, right = normal_matrix(total[None])
-    step, regular = solve_4(matrix, right)
-    return (float(right @ step), step) if regular else (0.0, np.zeros(4))
+    step, regular = solve_4(matrix[:4, :4], right[:4])
+    return (float(right[:4] @ step), step) if regular else (0.0, np.zeros(4))
 
 
 def without_duplicates(beams: Sequence[Beam]) -> list[Beam]:

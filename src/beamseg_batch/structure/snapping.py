@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -45,18 +46,21 @@ def _snapped(index: int, beams: Sequence[Beam], most_loss: float) -> Beam:
     beam = beams[index]
     others = [other for k, other in enumerate(beams) if k != index]
     first, last = beam.first, beam.last
+    snapped = [False, False]
     nearest_first = nearest_last = np.inf
     for place, reach in _crossings(beam, others):
         at_first, at_last = abs(place - beam.first), abs(place - beam.last)
         if at_first < min(at_last, nearest_first, reach) and (
             _loss(beam, place, beam.first, outward=place < beam.first) < most_loss
         ):
-            first, nearest_first = place, at_first
+            first, nearest_first, snapped[0] = place, at_first, True
         elif at_last < min(at_first, nearest_last, reach) and (
             _loss(beam, beam.last, place, outward=place > beam.last) < most_loss
         ):
-            last, nearest_last = place, at_last
-    return beam.between(first, last) if last > first else beam
+            last, nearest_last, snapped[1] = place, at_last, True
+    if last <= first:
+        return beam
+    return replace(beam, snapped=(snapped[0], snapped[1])).between(first, last)
 
 
 def _loss(beam: Beam, one: float, other: float, *, outward: bool) -> float:

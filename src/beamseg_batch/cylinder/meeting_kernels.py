@@ -1,0 +1,358 @@
+"""Kernels that find which rays of a scan meet which beams of a hypothesis, and where.
+
+Everything is in the sensor frame. Beams are few and thin, so most pixels meet none: the
+meetings of a pixel are a chain that begins at its `head`, and a pixel without is never
+visited again.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from beamseg_batch.accelerate import kernel
+from beamseg_batch.cylinder.ray_kernels import enter_cylinder, finite_depth
+from beamseg_batch.geometry import FloatArray
+
+__all__ = ["Cylinders", "Meetings", "View", "forget", "meet", "rivals"]
+
+_FLANK = 1.35  # radii from the axis at which a beam's surroundings begin
+_FLANK_FROM, _FLANK_TO = 0.01, 0.06  # and where they are looked at, metres further
+
+
+class View(NamedTuple):
+    """What a camera saw, in the sensor frame.
+
+    Attributes
+    ----------
+    points : (R, 3) float32 or float64, metres, x forward
+        Not finite where nothing returned.
+    rays : (R, 3) float64, unit vectors
+        Direction of each pixel, for those without return; zero where it is not known.
+    width : int
+        Pixels of a row; 0 for a cloud without rows.
+    image : (4,) float64
+        ``y / x`` of the first column and its step to the next, ``z / x`` of the first row
+        and its step.
+    noise, noise_relative : float
+        Standard deviation of the forward depth: metres, and share of the depth.
+    low, high : (3,) float64, metres
+        Window outside of which nothing counts.
+    up : (3,) float64
+        The world's z axis; with `height`, the sensor's, and `floor`, metres, it gives the
+        floor trim.
+    height, floor : float, metres
+    """
+
+    points: NDArray[np.floating]
+    rays: FloatArray
+    width: int
+    image: FloatArray
+    noise: float
+    noise_relative: float
+    low: FloatArray
+    high: FloatArray
+    up: FloatArray
+    height: float
+    floor: float
+
+
+class Cylinders(NamedTuple):
+    """Beams of a hypothesis, in the sensor frame.
+
+    Attributes
+    ----------
+    anchors, directions : (M, 3) float64
+    us, vs : (M, 3) float64, unit vectors
+        Normal to each axis and to one another.
+    radii : (M,) float64, metres
+    firsts, lasts : (M,) float64, metres
+        Ends of each beam along its axis.
+    starts, stops : (M,) float64, metres
+        The stretch of each axis that is asked about.
+    ranks, limits : (M,) int64
+        Beam ``o`` competes with ``j`` where ``ranks[o] <= limits[j]``.
+    """
+
+    anchors: FloatArray
+    directions: FloatArray
+    us: FloatArray
+    vs: FloatArray
+    radii: FloatArray
+    firsts: FloatArray
+    lasts: FloatArray
+    starts: FloatArray
+    stops: FloatArray
+    ranks: NDArray[np.int64]
+    limits: NDArray[np.int64]
+
+
+class Meetings(NamedTuple):
+    """Scratch for the meetings of one scan; `head` is -1 before and after.
+
+    Attributes
+    ----------
+    sight : (R, 4) float64
+        Direction of each ray, and the depth at which it returned, infinite if it did not.
+    head, pixels : (R,) int64
+        First meeting of each pixel, and the pixels that have one.
+    chain, who : (K,) int64
+        Next meeting of the same pixel, and which beam it is with.
+    along, side, entry, sigma, residual, nearest : (K,) float64
+        Where along the axis; on which side, as a share of the radius, and 2 or -2 for a
+        ray that passes by; depth of the endless cylinder, metres; noise of that depth,
+        metres; measured depth less that, sigmas; depth of the capped cylinder, infinite
+        if the ray passes it by.
+    """
+
+    sight: FloatArray
+    head: NDArray[np.int64]
+    pixels: NDArray[np.int64]
+    chain: NDArray[np.int64]
+    who: NDArray[np.int64]
+    along: FloatArray
+    side: FloatArray
+    entry: FloatArray
+    sigma: FloatArray
+    residual: FloatArray
+    nearest: FloatArray
+
+
+@kernel
+def _sights(view: View, sight: FloatArray) -> None:
+    """Direction of each ray, and how far it went."""
+    points, rays = view.points, view.rays
+    for k in range(len(points)):
+        x, y, z = np.float64(points[k, 0]), np.float64(points[k, 1]), np.float64(points[k, 2])
+        depth = np.sqrt(x * x + y * y + z * z)
+        if np.isfinite(depth) and depth > 0.0:
+            scale = 1.0 / depth
+            sight[k, 0], sight[k, 1], sight[k, 2] = x * scale, y * scale, z * scale
+        else:
+            sight[k, 0], sight[k, 1], sight[k, 2] = rays[k, 0], rays[k, 1], rays[k, 2]
+            depth = np.inf
+        sight[k, 3] = depth
+
+
+@kernel
+def _pixels(
+    a: FloatArray,
+    b: FloatArray,
+    begin: float,
+    end: float,
+    radius: float,
+    width: int,
+    height: int,
+    image: FloatArray,
+) -> tuple[int, int, int, int]:
+    """First row, row past the last, and the same of columns that a beam can appear in.
+
+    A straight line is straight in the image, so what lies between two balls around its
+    ends lies between their images. What is nearer than a radius and a bit is let go.
+    """
+    least = radius + 0.05
+    first_x, last_x = a[0] + begin * b[0], a[0] + end * b[0]
+    if first_x < least and last_x < least:
+        return 0, 0, 0, 0
+    if first_x < least:
+        begin += (least - first_x) / b[0]
+    if last_x < least:
+        end += (least - last_x) / b[0]
+    low_u, high_u, low_v, high_v = np.inf, -np.inf, np.inf, -np.inf
+    for s in (begin, end):
+        x, y, z = a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]
+        near, far = x - radius, x + radius
+        low_u = min(low_u, (y - radius) / near, (y - radius) / far)
+        high_u = max(high_u, (y + radius) / near, (y + radius) / far)
+        low_v = min(low_v, (z - radius) / near, (z - radius) / far)
+        high_v = max(high_v, (z + radius) / near, (z + radius) / far)
+    column_1, column_2 = (low_u - image[0]) / image[1], (high_u - image[0]) / image[1]
+    row_1, row_2 = (low_v - image[2]) / image[3], (high_v - image[2]) / image[3]
+    first_column = int(max(np.floor(min(column_1, column_2)), 0.0))
+    first_row = int(max(np.floor(min(row_1, row_2)), 0.0))
+    last_column = int(min(np.ceil(max(column_1, column_2)) + 1.0, float(width)))
+    last_row = int(min(np.ceil(max(row_1, row_2)) + 1.0, float(height)))
+    return (
+        first_row,
+        max(last_row, first_row),
+        first_column,
+        max(last_column, first_column),
+    )
+
+
+@kernel
+def _in_reach(
+    a: FloatArray, b: FloatArray, begin: float, end: float, radius: float, reach: float
+) -> bool:
+    """Whether a stretch of a beam comes as near as the window reaches."""
+    ab = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    closest = min(max(-ab, begin), end)
+    squared = 0.0
+    for axis in range(3):
+        squared += (a[axis] + closest * b[axis]) ** 2
+    return squared <= (reach + radius) ** 2
+
+
+@kernel
+def _counts(view: View, x: float, y: float, z: float) -> bool:
+    """Whether a place lies in the window and above the floor."""
+    low, high, up = view.low, view.high, view.up
+    inside: bool = (
+        low[0] <= x <= high[0]
+        and low[1] <= y <= high[1]
+        and low[2] <= z <= high[2]
+        and up[0] * x + up[1] * y + up[2] * z + view.height >= view.floor
+    )
+    return inside
+
+
+@kernel
+def _depth_noise(view: View, x: float, wx: float) -> float:
+    """Noise of a depth along its ray, from that of the forward depth ``x``."""
+    relative = view.noise_relative * x
+    return float(np.sqrt(view.noise * view.noise + relative * relative) / wx)
+
+
+@kernel
+def _chained(meetings: Meetings, used: int, touched: int, k: int) -> int:
+    """Put a meeting before those of its pixel; return how many pixels have one."""
+    head = meetings.head
+    if head[k] < 0:
+        meetings.pixels[touched] = k
+        touched += 1
+    meetings.chain[used] = head[k]
+    head[k] = used
+    return touched
+
+
+@kernel
+def meet(view: View, beams: Cylinders, meetings: Meetings, flanks: bool) -> int:
+    """Find all meetings of rays and beams.
+
+    Parameters
+    ----------
+    view : View
+    beams : Cylinders
+    meetings : Meetings
+        Filled; what it has no room for is left out.
+    flanks : bool
+        Whether rays that pass closely by a beam count, too.
+
+    Returns
+    -------
+    int
+        Pixels that meet something, the first so many of ``meetings.pixels``.
+    """
+    reach = 0.0
+    for axis in range(3):
+        reach += max(view.low[axis] * view.low[axis], view.high[axis] * view.high[axis])
+    reach = np.sqrt(reach)
+    sight, who, along, side = meetings.sight, meetings.who, meetings.along, meetings.side
+    entries, sigmas = meetings.entry, meetings.sigma
+    residual, nearest = meetings.residual, meetings.nearest
+    num_rays, width = len(view.points), view.width
+    _sights(view, sight)
+    used, touched = 0, 0
+    for j in range(len(beams.anchors)):
+        a, b, radius = beams.anchors[j], beams.directions[j], beams.radii[j]
+        begin, end = beams.starts[j], beams.stops[j]
+        first, last = beams.firsts[j], beams.lasts[j]
+        if not _in_reach(a, b, begin, end, radius, reach):
+            continue
+        ab = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+        inner = _FLANK * radius + _FLANK_FROM
+        outer = _FLANK * radius + _FLANK_TO if flanks else radius
+        row_first, row_last, column_first, column_last = 0, 1, 0, num_rays
+        if width > 0:
+            row_first, row_last, column_first, column_last = _pixels(
+                a, b, begin, end, outer, width, num_rays // width, view.image
+            )
+        mx, my, mz = b[1] * a[2] - b[2] * a[1], b[2] * a[0] - b[0] * a[2], b[0] * a[1] - b[1] * a[0]
+        for row in range(row_first, row_last):
+            for column in range(column_first, column_last):
+                k = row * width + column
+                wx, wy, wz, depth = sight[k, 0], sight[k, 1], sight[k, 2], sight[k, 3]
+                mixed = wx * mx + wy * my + wz * mz
+                wb = wx * b[0] + wy * b[1] + wz * b[2]
+                across = 1.0 - wb * wb
+                if mixed * mixed > outer * outer * across or used == len(who):
+                    continue
+                if mixed * mixed > radius * radius * across:
+                    middle = (wx * a[0] + wy * a[1] + wz * a[2] - wb * ab) / across
+                    s = middle * wb - ab
+                    x, y, z = middle * wx, middle * wy, middle * wz
+                    if (
+                        mixed * mixed > inner * inner * across
+                        and middle > 0.0
+                        and first <= s <= last
+                        and _counts(view, x, y, z)
+                    ):
+                        sigma = _depth_noise(view, x, wx)
+                        who[used], along[used], side[used] = j, s, 2.0 if mixed > 0.0 else -2.0
+                        entries[used], sigmas[used], nearest[used] = middle, sigma, np.inf
+                        residual[used] = (depth - middle) / sigma
+                        touched = _chained(meetings, used, touched, k)
+                        used += 1
+                    continue
+                entry, leave, s, lateral = enter_cylinder(
+                    wx, wy, wz, a[0], a[1], a[2], b[0], b[1], b[2], radius
+                )
+                x, y, z = entry * wx, entry * wy, entry * wz
+                if not (entry > 0.0 and begin <= s < end and _counts(view, x, y, z)):
+                    continue
+                sigma = _depth_noise(view, x, wx)
+                who[used], along[used], side[used] = j, s, lateral / radius
+                entries[used], sigmas[used] = entry, sigma
+                residual[used] = (depth - entry) / sigma
+                nearest[used] = finite_depth(entry, leave, s, wb, ab, first, last)
+                touched = _chained(meetings, used, touched, k)
+                used += 1
+    return touched
+
+
+@kernel
+def rivals(beams: Cylinders, meetings: Meetings, k: int, this: int) -> tuple[float, float]:
+    """What the other beams that a ray meets say to it.
+
+    Parameters
+    ----------
+    beams : Cylinders
+    meetings : Meetings
+        As `meet` left them.
+    k, this : int
+        A pixel, and one of its meetings.
+
+    Returns
+    -------
+    before : float, metres
+        Depth of the nearest competitor, infinite if there is none.
+    best : float
+        Least distance of the measured depth from a competitor, in sigmas.
+    """
+    limit, sigma, depth = beams.limits[meetings.who[this]], meetings.sigma[this], np.inf
+    depth = meetings.sight[k, 3]
+    before, best = np.inf, np.inf
+    other = meetings.head[k]
+    while other >= 0:
+        near = meetings.nearest[other]
+        if other != this and near < np.inf and beams.ranks[meetings.who[other]] <= limit:
+            before = min(before, near)
+            best = min(best, abs(depth - near) / sigma)
+        other = meetings.chain[other]
+    return before, best
+
+
+@kernel
+def forget(meetings: Meetings, touched: int) -> None:
+    """Make the scratch ready for the next scan.
+
+    Parameters
+    ----------
+    meetings : Meetings
+    touched : int
+        What `meet` returned.
+    """
+    for number in range(touched):
+        meetings.head[meetings.pixels[number]] = -1

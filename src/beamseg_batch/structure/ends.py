@@ -1,0 +1,62 @@
+"""Ends of beams, by how well each place for them explains the rays nearby."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from beamseg_batch.geometry import FloatArray
+from beamseg_batch.structure.hypothesis import Beam
+from beamseg_batch.structure.questions import END_PLACES
+
+__all__ = ["with_measured_ends"]
+
+_LEAST_SIGMA_M = 0.001
+_BEYOND_M = 0.25
+_DENIED = -12.0  # log-likelihood of three rays that saw through
+
+
+def with_measured_ends(beams: Sequence[Beam], likelihood: FloatArray) -> list[Beam]:
+    """Move each end that is free to where the rays put it, and say how sure that is.
+
+    Parameters
+    ----------
+    beams : sequence of Beam
+    likelihood : (M, 2, N) float64
+        Log-likelihood ratio of each beam with its first or last end moved to each of
+        `END_PLACES`.
+
+    Returns
+    -------
+    list of Beam
+        In the same order. An end that was drawn to another axis stays.
+    """
+    return [_measured(beam, each) for beam, each in zip(beams, likelihood, strict=True)]
+
+
+def _measured(beam: Beam, likelihood: FloatArray) -> Beam:
+    moves, sigmas = np.zeros(2), np.full(2, np.nan)
+    for which in range(2):
+        if not beam.snapped[which]:
+            moves[which], sigmas[which] = _expected(likelihood[which])
+    seen = (_is_denied(beam, -1), _is_denied(beam, 1))
+    beam = replace(beam, sigma_ends=sigmas, ends_seen=seen)
+    return beam.between(beam.first + moves[0], beam.last + moves[1])
+
+
+def _expected(likelihood: FloatArray) -> tuple[float, float]:
+    """Mean place and deviation, all places being as likely as the rays say."""
+    share = np.exp(likelihood - likelihood.max())
+    share /= share.sum()
+    mean = float(share @ END_PLACES)
+    variance = float(share @ (END_PLACES - mean) ** 2)
+    return mean, float(np.sqrt(variance + _LEAST_SIGMA_M**2))
+
+
+def _is_denied(beam: Beam, way: int) -> bool:
+    """Whether rays saw through where the beam would go on."""
+    end = beam.last if way > 0 else beam.first
+    beyond = end + way * _BEYOND_M
+    return beam.evidence_between(min(end, beyond), max(end, beyond)) < _DENIED

@@ -1,0 +1,282 @@
+"""What all rays of the flight are asked about the beams of a hypothesis, scans at a time.
+
+A question is fixed when it is made, can be sent to another process, and is answered by
+sums over scans alone; answers are added up in the order of the scans.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from beamseg_batch.config import FilteringConfig
+from beamseg_batch.cylinder.end_kernels import gather_ends
+from beamseg_batch.cylinder.evidence_kernels import gather
+from beamseg_batch.cylinder.meeting_kernels import Cylinders, Meetings, View
+from beamseg_batch.cylinder.ray_kernels import on_cylinders
+from beamseg_batch.geometry import FloatArray
+from beamseg_batch.model import DepthNoise, Scan
+from beamseg_batch.structure.hypothesis import Answer, Beam, Sums
+from beamseg_batch.structure.pixel_rays import PixelRays
+
+__all__ = ["END_PLACES", "AxisQuestion", "Camera", "EndQuestion", "LeftoverQuestion", "Leftovers"]
+
+END_PLACES: FloatArray = np.arange(-20.0, 21.0) * 0.002
+"""Where an end may be, metres from where it was."""
+
+_RANGE_M = 3.0  # where a return that no beam explains may lie, for its likelihood
+_TYPICAL_DEPTH_M = 1.0
+_EXPLAINED_SIGMAS = 3.5
+
+
+class Camera:
+    """How scans were seen: noise, window, floor, and the directions of the pixels.
+
+    Parameters
+    ----------
+    filtering : FilteringConfig
+    noise : DepthNoise
+    pixels : PixelRays
+    """
+
+    def __init__(self, filtering: FilteringConfig, noise: DepthNoise, pixels: PixelRays) -> None:
+        window = filtering.window
+        self.low, self.high = np.array([window.x, window.y, window.z]).T.copy()
+        trimmed = filtering.floor_trim != "none"
+        self.floor = filtering.floor_trim_height if trimmed else -np.inf
+        self.noise, self.pixels = noise, pixels
+
+    @property
+    def sigma(self) -> float:
+        """Noise of a depth, typically, metres."""
+        return self.noise.at(_TYPICAL_DEPTH_M)
+
+    @property
+    def background(self) -> float:
+        """Cost of a return that no beam explains, as half a squared residual."""
+        return float(np.log(_RANGE_M / (self.sigma * np.sqrt(2.0 * np.pi))))
+
+    def view(self, scan: Scan) -> View:
+        """Return a scan as the kernels take it."""
+        rays, width, image = self.pixels.of(scan)
+        pose = scan.T_world_sensor
+        return View(
+            scan.points, rays, width, image, self.noise.constant, self.noise.relative,
+            self.low, self.high, pose.rotation[2].copy(), float(pose.translation[2]), self.floor,
+        )  # fmt: skip
+
+
+class _Beams:
+    """Arrays of a hypothesis, in the world frame, and who competes with whom."""
+
+    def __init__(self, beams: Sequence[Beam], competitors: str) -> None:
+        self.anchors = _stacked([beam.anchor for beam in beams])
+        self.directions = _stacked([beam.direction for beam in beams])
+        normals = [beam.normals for beam in beams]
+        self.us, self.vs = (_stacked([pair[k] for pair in normals]) for k in (0, 1))
+        self.radii = np.array([beam.radius for beam in beams])
+        self.firsts = np.array([beam.first for beam in beams])
+        self.lasts = np.array([beam.last for beam in beams])
+        order = np.argsort([-beam.score for beam in beams], kind="stable")
+        self.ranks = np.empty(len(beams), np.int64)
+        self.ranks[order] = np.arange(len(beams))
+        self.limits = {
+            "none": np.full(len(beams), -1),
+            "likelier": self.ranks - 1,
+            "all": np.full(len(beams), len(beams)),
+        }[competitors]
+
+    def seen_from(self, scan: Scan, starts: FloatArray, stops: FloatArray) -> Cylinders:
+        """Return the beams in the sensor frame of a scan, to be asked about on a stretch."""
+        pose = scan.T_world_sensor
+        turn = pose.rotation
+        return Cylinders(
+            (self.anchors - pose.translation) @ turn, self.directions @ turn,
+            self.us @ turn, self.vs @ turn, self.radii, self.firsts, self.lasts,
+            starts, stops, self.ranks, self.limits,
+        )  # fmt: skip
+
+
+class AxisQuestion:
+    """How well every ray fits each beam, and where the axis should be instead.
+
+    Parameters
+    ----------
+    beams : sequence of Beam
+    camera : Camera
+    competitors : {'none', 'likelier', 'all'}
+        Which beams a beam competes with for rays.
+    tukey : float
+        Reach of Tukey's weight, sigmas.
+    flanks : bool
+        Whether rays that pass the beams closely are asked, too.
+    """
+
+    def __init__(
+        self,
+        beams: Sequence[Beam],
+        camera: Camera,
+        *,
+        competitors: str,
+        tukey: float,
+        flanks: bool,
+    ) -> None:
+        self.beams = tuple(beam.bare() for beam in beams)
+        self.camera, self.tukey, self.flanks = camera, tukey, flanks
+        self._arrays = _Beams(beams, competitors)
+
+    def sums(self) -> Sums:
+        """Nothing yet, to be added to."""
+        return Sums(self.beams, flanks=self.flanks)
+
+    def ask(self, scans: Iterable[Scan]) -> Answer:
+        """Ask the rays of some scans.
+
+        Parameters
+        ----------
+        scans : iterable of Scan
+
+        Returns
+        -------
+        Answer
+        """
+        sums, scratch = self.sums(), _Scratch()
+        alone, scores = np.zeros(len(self.beams), np.int64), np.zeros((len(self.beams), 5))
+        for scan in scans:
+            gather(
+                self.camera.view(scan),
+                self._arrays.seen_from(scan, sums.starts, sums.stops),
+                sums.evidence, self.tukey, self.camera.background,
+                scratch.meetings(len(scan.points)), alone, scores,
+            )  # fmt: skip
+        return sums.answer()
+
+
+class EndQuestion:
+    """Where the rays near the ends of beams put these.
+
+    Parameters
+    ----------
+    beams : sequence of Beam
+    camera : Camera
+    """
+
+    def __init__(self, beams: Sequence[Beam], camera: Camera) -> None:
+        self.camera = camera
+        self._arrays = _Beams(beams, "all")
+
+    def sums(self) -> FloatArray:
+        """(M, 2, N) float64: log-likelihood of each beam by both ends' places, none yet."""
+        return np.zeros((len(self._arrays.radii), 2, len(END_PLACES)))
+
+    def ask(self, scans: Iterable[Scan]) -> FloatArray:
+        """Ask the rays of some scans.
+
+        Parameters
+        ----------
+        scans : iterable of Scan
+
+        Returns
+        -------
+        (M, 2, N) float64
+            Log-likelihood ratio of each beam with its first or last end moved to each of
+            `END_PLACES`.
+        """
+        likelihood, scratch = self.sums(), _Scratch()
+        margin = 0.3
+        starts, stops = self._arrays.firsts - margin, self._arrays.lasts + margin
+        for scan in scans:
+            gather_ends(
+                self.camera.view(scan), self._arrays.seen_from(scan, starts, stops),
+                END_PLACES, likelihood, self.camera.background,
+                scratch.meetings(len(scan.points)),
+            )  # fmt: skip
+        return likelihood
+
+
+@dataclass(frozen=True, eq=False)
+class Leftovers:
+    """Returns of some scans that no beam explains.
+
+    Attributes
+    ----------
+    points : (N, 3) float64, metres, world frame
+    seen_from : (3,) float64, metres, world frame
+        Where the camera was, on average.
+    stamp_ns : int
+        Of the last of the scans.
+    """
+
+    points: FloatArray
+    seen_from: FloatArray
+    stamp_ns: int
+
+
+class LeftoverQuestion:
+    """Which returns no beam explains.
+
+    Parameters
+    ----------
+    beams : sequence of Beam
+    camera : Camera
+    """
+
+    def __init__(self, beams: Sequence[Beam], camera: Camera) -> None:
+        self.camera = camera
+        self._arrays = _Beams(beams, "none")
+
+    def ask(self, scans: Sequence[Scan]) -> Leftovers:
+        """Pool what some scans leave.
+
+        Parameters
+        ----------
+        scans : sequence of Scan
+            At least one.
+
+        Returns
+        -------
+        Leftovers
+        """
+        return Leftovers(
+            np.concatenate([self._unexplained(scan) for scan in scans]),
+            np.mean([scan.T_world_sensor.translation for scan in scans], axis=0),
+            scans[-1].stamp_ns,
+        )
+
+    def _unexplained(self, scan: Scan) -> FloatArray:
+        """Returns in the window and above the floor that lie on no beam, world frame."""
+        camera, beams = self.camera, self._arrays
+        points = np.asarray(scan.points, np.float64)
+        inside = np.all((points >= camera.low) & (points <= camera.high), axis=1)
+        world = scan.T_world_sensor.apply(points[inside])
+        world = world[world[:, 2] >= camera.floor]
+        reach = _EXPLAINED_SIGMAS * camera.sigma
+        explained = on_cylinders(
+            world, beams.anchors, beams.directions, beams.firsts, beams.lasts, beams.radii, reach
+        )
+        left: FloatArray = world[~explained]
+        return left
+
+
+class _Scratch:
+    """Meetings of a scan, made once for scans of the same size."""
+
+    def __init__(self) -> None:
+        self._meetings: Meetings | None = None
+
+    def meetings(self, num_rays: int) -> Meetings:
+        if self._meetings is None or len(self._meetings.head) != num_rays:
+            most = 4 * num_rays + 64
+            whole: Any = [np.empty(most, np.int64) for _ in range(2)]
+            self._meetings = Meetings(
+                np.empty((num_rays, 4)), np.full(num_rays, -1), np.empty(num_rays, np.int64),
+                *whole, *(np.empty(most) for _ in range(6)),
+            )  # fmt: skip
+        return self._meetings
+
+
+def _stacked(vectors: Sequence[FloatArray]) -> FloatArray:
+    return np.array(vectors, np.float64).reshape(-1, 3)
