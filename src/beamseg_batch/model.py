@@ -166,8 +166,9 @@ class Segment:
     covariance : (6, 6) float64, metres and radians, in the same frame
         Of the anchor and the direction, which is only across the axis; NaN where it is not
         known.
-    sigma_radius : float, metres
-        Standard deviation of the radius, were it measured freely; NaN where it is not known.
+    measured_radius, sigma_radius : float, metres
+        The radius that fits best, whatever `radius` is, and its standard deviation; NaN where
+        they are not known.
     sigma_ends : (2,) float64, metres
         Standard deviations of both ends along the axis; NaN where they are not known.
     ends_seen : (bool, bool) or None
@@ -188,6 +189,7 @@ class Segment:
     first_seen_ns: int = 0
     last_seen_ns: int = 0
     covariance: FloatArray = field(default_factory=lambda: np.full((6, 6), np.nan))
+    measured_radius: float = np.nan
     sigma_radius: float = np.nan
     sigma_ends: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
     ends_seen: tuple[bool, bool] | None = None

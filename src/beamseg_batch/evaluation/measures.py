@@ -78,7 +78,7 @@ MEASURES = (
     Measure("precision", "", "`matched` of `segments`"),
     Measure("axis_offset", "m", "Mean distance between axis and member over the overlap", True),
     Measure("angle_deg", "°", "Angle between axis and member", True),
-    Measure("own_end_error", "m", "From an end to the seen end, where that is the member's", True),
+    Measure("own_end_error", "m", "From an end to the member's, where that was seen", True),
     Measure("own_end_error.count", "", "Number of those ends"),
     Measure("cut_end_error", "m", "From an end to the seen end, where the view was cut", True),
     Measure("cut_end_error.count", "", "Number of those ends"),
@@ -111,7 +111,7 @@ MEASURES = (
 
 @dataclass(frozen=True)
 class EndError:
-    """How far an end of a segment is from the end of what was seen.
+    """How far an end of a segment is from the member's, or from the end of what was seen.
 
     Attributes
     ----------
@@ -327,12 +327,16 @@ def _end_errors(
     if result.axes.directions[segment] @ direction < 0.0:
         ends, sigmas = ends[::-1], sigmas[::-1]
 
+    own_places = (truth.axes.starts[member], truth.axes.ends[member])
+
     def error(k: int) -> EndError:
-        miss = ends[k] - truth.seen[member, k]
+        # What was seen is known by bins of 2 cm; where the member ends is known.
+        own = bool(truth.own_ends[member, k])
+        miss = ends[k] - (own_places[k] if own else truth.seen[member, k])
         return EndError(
             distance=float(np.linalg.norm(miss)),
             along=abs(float(miss @ direction)),
-            own=bool(truth.own_ends[member, k]),
+            own=own,
             sigma=float(sigmas[k]),
         )
 

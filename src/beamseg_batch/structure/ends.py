@@ -13,7 +13,7 @@ from beamseg_batch.structure.questions import END_PLACES
 
 __all__ = ["with_measured_ends"]
 
-_LEAST_SIGMA_M = 0.001
+_LEAST_SIGMA_M = 0.0005
 _BEYOND_M = 0.25
 _DENIED = -12.0  # log-likelihood of three rays that saw through
 
@@ -37,10 +37,11 @@ def with_measured_ends(beams: Sequence[Beam], likelihood: FloatArray) -> list[Be
 
 
 def _measured(beam: Beam, likelihood: FloatArray) -> Beam:
-    moves, sigmas = np.zeros(2), np.full(2, np.nan)
+    moves, sigmas = np.zeros(2), beam.sigma_ends.copy()
     for which in range(2):
         if not beam.snapped[which]:
             moves[which], sigmas[which] = _expected(likelihood[which])
+    sigmas = np.hypot(sigmas, _LEAST_SIGMA_M)
     seen = (_is_denied(beam, -1), _is_denied(beam, 1))
     beam = replace(beam, sigma_ends=sigmas, ends_seen=seen)
     return beam.between(beam.first + moves[0], beam.last + moves[1])
@@ -52,7 +53,7 @@ def _expected(likelihood: FloatArray) -> tuple[float, float]:
     share /= share.sum()
     mean = float(share @ END_PLACES)
     variance = float(share @ (END_PLACES - mean) ** 2)
-    return mean, float(np.sqrt(variance + _LEAST_SIGMA_M**2))
+    return mean, float(np.sqrt(variance))
 
 
 def _is_denied(beam: Beam, way: int) -> bool:

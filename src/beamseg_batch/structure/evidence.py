@@ -231,6 +231,7 @@ def _segment(beam: Beam) -> Segment:
         first_seen_ns=beam.first_seen_ns,
         last_seen_ns=beam.last_seen_ns,
         covariance=beam.covariance,
+        measured_radius=beam.free_radius,
         sigma_radius=beam.sigma_radius,
         sigma_ends=beam.sigma_ends,
         ends_seen=beam.ends_seen,

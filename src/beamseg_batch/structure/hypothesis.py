@@ -116,6 +116,14 @@ class Beam:
             profile_start=self.profile_start - middle,
         )
 
+    def covariance_at(self, s: float) -> FloatArray:
+        """(3, 3) float64, square metres: of a point of the axis, across it."""
+        position, both, direction = (
+            self.covariance[:3, :3], self.covariance[:3, 3:], self.covariance[3:, 3:]
+        )  # fmt: skip
+        found: FloatArray = position + s * (both + both.T) + s * s * direction
+        return found
+
     def evidence_between(self, first: float, last: float) -> float:
         """Sum of the profile over a stretch of the axis."""
         low, high = ((place - self.profile_start) / FINE for place in (first, last))

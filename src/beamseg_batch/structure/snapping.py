@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,48 +42,60 @@ def snapped(beams: Sequence[Beam]) -> list[Beam]:
     return [_snapped(index, beams, most_loss) for index in range(len(beams))]
 
 
+@dataclass(frozen=True, eq=False)
+class _Crossing:
+    """Where another axis passes close by: along the beam, how far an end may be, deviation."""
+
+    place: float
+    reach: float
+    sigma: float
+
+
 def _snapped(index: int, beams: Sequence[Beam], most_loss: float) -> Beam:
     beam = beams[index]
     others = [other for k, other in enumerate(beams) if k != index]
-    first, last = beam.first, beam.last
-    snapped = [False, False]
-    nearest_first = nearest_last = np.inf
-    for place, reach in _crossings(beam, others):
-        at_first, at_last = abs(place - beam.first), abs(place - beam.last)
-        if at_first < min(at_last, nearest_first, reach) and (
-            _loss(beam, place, beam.first, outward=place < beam.first) < most_loss
-        ):
-            first, nearest_first, snapped[0] = place, at_first, True
-        elif at_last < min(at_first, nearest_last, reach) and (
-            _loss(beam, beam.last, place, outward=place > beam.last) < most_loss
-        ):
-            last, nearest_last, snapped[1] = place, at_last, True
-    if last <= first:
+    crossings = [found for other in others if (found := _crossing(beam, other)) is not None]
+    ends, sigmas = [beam.first, beam.last], np.full(2, np.nan)
+    for which, end, far in ((0, beam.first, beam.last), (1, beam.last, beam.first)):
+        outwards = np.sign(end - far)
+        at_end = [
+            crossing
+            for crossing in crossings
+            if abs(crossing.place - end) < min(abs(crossing.place - far), crossing.reach)
+            and _loss(beam, end, crossing.place, outward=(crossing.place - end) * outwards > 0.0)
+            < most_loss
+        ]
+        if at_end:
+            nearest = min(at_end, key=lambda crossing: abs(crossing.place - end))
+            ends[which], sigmas[which] = nearest.place, nearest.sigma
+    if ends[1] <= ends[0]:
         return beam
-    return replace(beam, snapped=(snapped[0], snapped[1])).between(first, last)
+    snapped = (bool(np.isfinite(sigmas[0])), bool(np.isfinite(sigmas[1])))
+    return replace(beam, snapped=snapped, sigma_ends=sigmas).between(*ends)
 
 
-def _loss(beam: Beam, one: float, other: float, *, outward: bool) -> float:
+def _loss(beam: Beam, end: float, place: float, *, outward: bool) -> float:
     """Log-likelihood that moving an end costs."""
-    evidence = beam.evidence_between(min(one, other), max(one, other))
+    evidence = beam.evidence_between(min(end, place), max(end, place))
     return -evidence if outward else evidence
 
 
-def _crossings(beam: Beam, others: Sequence[Beam]) -> list[tuple[float, float]]:
-    """Where other axes pass close by along this one, and how far an end may be from there."""
-    found = []
-    for other in others:
-        cosine = float(beam.direction @ other.direction)
-        sine = float(np.sqrt(max(1.0 - cosine * cosine, 0.0)))
-        if sine < 0.02:
-            continue
-        apart = other.anchor - beam.anchor
-        along, across = float(apart @ beam.direction), float(apart @ other.direction)
-        place = (along - cosine * across) / sine**2
-        there = (cosine * along - across) / sine**2
-        reach = min(0.1 / sine + 0.05, _MOST_MOVE_M)
-        if not other.first - reach <= there <= other.last + reach:
-            continue
-        if float(np.linalg.norm(beam.at(place) - other.at(there))) <= _MOST_APART_M:
-            found.append((place, reach))
-    return found
+def _crossing(beam: Beam, other: Beam) -> _Crossing | None:
+    cosine = float(beam.direction @ other.direction)
+    sine = float(np.sqrt(max(1.0 - cosine * cosine, 0.0)))
+    if sine < 0.02:
+        return None
+    apart = other.anchor - beam.anchor
+    along, across = float(apart @ beam.direction), float(apart @ other.direction)
+    place = (along - cosine * across) / sine**2
+    there = (cosine * along - across) / sine**2
+    reach = min(0.1 / sine + 0.05, _MOST_MOVE_M)
+    if not other.first - reach <= there <= other.last + reach:
+        return None
+    if float(np.linalg.norm(beam.at(place) - other.at(there))) > _MOST_APART_M:
+        return None
+    # In the plane of both, across the other axis.
+    normal = (beam.direction - cosine * other.direction) / sine
+    variance = normal @ (beam.covariance_at(place) + other.covariance_at(there)) @ normal
+    sigma = float(np.sqrt(variance)) / sine if np.isfinite(variance) else 0.0
+    return _Crossing(place, reach, sigma)
