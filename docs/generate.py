@@ -16,6 +16,7 @@ from pydantic import BaseModel
 
 from beamseg_batch.config import ALIASES, RunConfig, load_config
 from beamseg_batch.evaluation import COMPARED, MEASURES, Measure
+from beamseg_batch.outputs import structure_file
 from beamseg_batch.tables import TABLES, TRUTH_TABLES
 
 DOCS = Path(__file__).resolve().parent
@@ -47,6 +48,7 @@ def _parts() -> dict[str, Callable[[], str]]:
         table.file_name: table.documentation for table in (*TABLES, *TRUTH_TABLES)
     }
     return parts | {
+        "structure.npz": structure_file.documentation,
         "configuration": _configuration,
         "aliases": _aliases,
         "measures": lambda: _measures(MEASURES),

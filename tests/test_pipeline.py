@@ -153,6 +153,11 @@ def test_process_flight__finds_the_beams_once_and_where_they_cross(run, scans):
     (touch,) = result.intersections
     np.testing.assert_allclose(touch.position, [0.96, 0.2, 0.9], atol=0.05)
     assert touch.angle_deg == pytest.approx(90.0, abs=5.0)
+    (joint,) = result.joints
+    assert (joint.segments, touch.joint) == ((0, 1), 0)
+    np.testing.assert_allclose(joint.position, touch.position, atol=1e-9)
+    assert {0, 1} == {member.segment for member in result.members}
+    assert {0, None} == {member.joint_1 for member in result.members}
     assert not result.interrupted
     assert result.warnings == ()
     assert result.recording is INFO
@@ -240,7 +245,7 @@ def test_process_flight__scans_without_a_beam_are_a_result(run, scans):
     """Points in the window but below the floor, or no beam in them, are no error."""
     config = load_config("report", overrides=["filtering.floor_trim_height=9"])
     result = run(scans, config)
-    assert (result.segments, result.intersections) == ((), ())
+    assert result.segments == result.intersections == result.joints == result.members == ()
     assert len(result.scans) == len(scans)
 
 

@@ -36,6 +36,15 @@ SMALL = Table(
     ),
     deterministic=True,
 )
+OPEN = Table(
+    "open.csv",
+    "One row per thing of which little is known.",
+    (
+        Column("other", "", "Number of the other thing", kind="number"),
+        Column("seen", "", "Whether it was seen", kind="flag"),
+    ),
+    deterministic=True,
+)
 
 
 def small(numbers=(), places=(), times=(), names=()):
@@ -77,6 +86,16 @@ def test_encode__has_no_negative_zero(value):
 
 def test_encode__missing_value_is_empty():
     assert Column("t", "s", "").encode(math.nan) == ""
+
+
+def test_encode__numbers_and_flags_that_may_be_missing():
+    values = {"other": [3.0, math.nan, 0], "seen": [True, None, np.False_]}
+    text = OPEN.encode(values)
+    assert text == "other,seen\n3,true\n,\n0,false\n"
+    read = OPEN.decode(text)
+    np.testing.assert_array_equal(read["other"], [3.0, math.nan, 0.0])
+    assert read["seen"].tolist() == [True, None, False]
+    assert OPEN.decode("other,seen\n1,TRUE\n,0\n")["seen"].tolist() == [True, False]
 
 
 def test_encode__a_numpy_scalar_is_written_as_a_plain_number():
@@ -159,6 +178,32 @@ def test_documentation__every_column_has_a_meaning(table):
         assert column.meaning
         assert not column.meaning.endswith(".")
         assert "|" not in column.meaning
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("1.5,\n", "column other: line 2: "),
+        ("1,maybe\n", "column seen: line 2: 'maybe' is neither"),
+    ],
+)
+def test_decode__neither_missing_nor_a_value(text, reason):
+    with pytest.raises(RunError, match=f"open\\.csv: {reason}"):
+        OPEN.decode("other,seen\n" + text)
+
+
+def test_documentation__says_what_may_be_missing():
+    assert "| `other` | – | integer or empty |" in OPEN.documentation()
+    assert "| `seen` | – | `true`, `false` or empty |" in OPEN.documentation()
+
+
+def test_tables__segments_have_their_deviations_where_they_belong():
+    names = SEGMENTS.column_names
+    first = names.index("sigma_offset")
+    assert ",".join(names[first - 1 :]) == (
+        "pca_eig_2,sigma_offset,sigma_angle_deg,sigma_radius,sigma_end_1,sigma_end_2,"
+        "end_1_seen,end_2_seen,first_seen_s,last_seen_s"
+    )
 
 
 def test_documentation__is_a_markdown_table():

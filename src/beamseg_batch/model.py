@@ -1,4 +1,4 @@
-"""What flows between the stages: scans, segments, intersections and a flight's result.
+"""What flows between the stages: scans, segments, joints and a flight's result.
 
 All are frozen: a stage returns new objects and never changes what it was given.
 Positions are metres, stamps integer nanoseconds, directions unit vectors.
@@ -23,6 +23,8 @@ __all__ = [
     "Detections",
     "FlightResult",
     "Intersection",
+    "Joint",
+    "Member",
     "RecordingInfo",
     "Scan",
     "ScanRecord",
@@ -194,10 +196,17 @@ class Segment:
     sigma_ends: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
     ends_seen: tuple[bool, bool] | None = None
 
+    def covariance_at(self, t: float) -> FloatArray:
+        """(3, 3) float64, square metres: of the point of the axis at `t`; NaN if not known."""
+        shift = np.hstack([np.eye(3), t * np.eye(3)])
+        covariance: FloatArray = shift @ self.covariance @ shift.T
+        return covariance
+
     @property
     def sigma_offset(self) -> float:
-        """Standard deviation of the axis across its direction, at the anchor, metres."""
-        return float(np.sqrt(np.trace(self.covariance[:3, :3])))
+        """Standard deviation of the axis across its direction, halfway between the ends, metres."""
+        middle = self.covariance_at(0.5 * (self.t_min + self.t_max))
+        return float(np.sqrt(np.trace(middle)))
 
     @property
     def sigma_angle_deg(self) -> float:
@@ -240,6 +249,8 @@ class Intersection:
     distance : float, metres
         Between the two axes.
     angle_deg : float, degrees, 0 to 90
+    joint : int or None
+        Index of the joint that it is part of; None before joints are known.
     """
 
     segment_1: int
@@ -249,6 +260,58 @@ class Intersection:
     position: FloatArray
     distance: float
     angle_deg: float
+    joint: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """One place where two or more segments meet.
+
+    Attributes
+    ----------
+    position : (3,) float64, metres, world frame
+        The point closest to all its axes.
+    covariance : (3, 3) float64, square metres, world frame
+        Of the position; NaN where that of an axis is not known.
+    residual : float, metres
+        Root mean square of the distances of the axes from the position.
+    segments : tuple of int
+        Indices into the structure's segments, rising.
+    t : tuple of float, metres
+        Where on each of them.
+    """
+
+    position: FloatArray
+    covariance: FloatArray
+    residual: float
+    segments: tuple[int, ...]
+    t: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Member:
+    """The part of a segment between two consecutive joints or ends.
+
+    Attributes
+    ----------
+    segment : int
+        Index into the structure's segments.
+    t_1, t_2 : float, metres
+        Where on its axis the part begins and ends.
+    joint_1, joint_2 : int or None
+        Index of the joint there; None at a free end.
+    """
+
+    segment: int
+    t_1: float
+    t_2: float
+    joint_1: int | None
+    joint_2: int | None
+
+    @property
+    def length(self) -> float:
+        """Distance between its ends, in metres."""
+        return self.t_2 - self.t_1
 
 
 @dataclass(frozen=True, eq=False)
@@ -383,6 +446,10 @@ class FlightResult:
     segments : tuple of Segment
         World frame, in order of first detection.
     intersections : tuple of Intersection
+    joints : tuple of Joint
+        By their segments.
+    members : tuple of Member
+        By their segment, then along it.
     scans : tuple of ScanRecord
         One per processed scan, in time order.
     skipped : Counter of str
@@ -403,6 +470,8 @@ class FlightResult:
 
     segments: tuple[Segment, ...]
     intersections: tuple[Intersection, ...]
+    joints: tuple[Joint, ...]
+    members: tuple[Member, ...]
     scans: tuple[ScanRecord, ...]
     skipped: Counter[str]
     rejections: Counter[str]

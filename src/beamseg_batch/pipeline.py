@@ -29,6 +29,8 @@ from beamseg_batch.structure import (
     Structure,
     ThinnedCloud,
     intersections_of,
+    joints_of,
+    members_of,
 )
 
 _SCANS_A_BATCH = 25
@@ -90,7 +92,7 @@ def process_flight(
     Notes
     -----
     The report's figure 2: acquisition, pre-processing, iterative Hough transform,
-    sorting, frame conversion, fusion, intersections.
+    sorting, frame conversion, fusion, intersections; then what these make, joints and members.
     """
     progress = progress or _NobodyWatches()
     flight = open_flight(recording, config)
@@ -312,9 +314,14 @@ class _FlightLog:
             )
 
     def result(self, flight: Flight, structure: Structure | EvidenceStructure) -> FlightResult:
+        segments = structure.segments()
+        joints, intersections = joints_of(segments, structure.intersections())
+        end_slack = self.config.structure.intersections.end_slack
         return FlightResult(
-            segments=structure.segments(),
-            intersections=structure.intersections(),
+            segments=segments,
+            intersections=intersections,
+            joints=joints,
+            members=members_of(segments, joints, end_slack),
             scans=tuple(self.scans),
             skipped=self.skipped,
             rejections=self.rejections + structure.rejections(),

@@ -24,6 +24,8 @@ from beamseg_batch.errors import RunError, ShapeError
 
 __all__ = [
     "INTERSECTIONS",
+    "JOINTS",
+    "MEMBERS",
     "PROCESSING_TIME",
     "SEGMENTS",
     "TABLES",
@@ -36,12 +38,21 @@ __all__ = [
 ]
 
 ColumnArrays: TypeAlias = dict[str, NDArray[Any]]
-"""Values by column name, all of the same length: int64, float64 or str objects."""
+"""Values by column name, all of the same length: int64, float64 or objects."""
 
-Kind: TypeAlias = Literal["int", "float", "text"]
+Kind: TypeAlias = Literal["int", "float", "text", "number", "flag"]
 _Row: TypeAlias = tuple[int, list[str]]  # the line of the file on which it ends, and its texts
 
-_DTYPES: Mapping[Kind, type] = {"int": np.int64, "float": np.float64, "text": object}
+_DTYPES: Mapping[Kind, type] = {
+    "int": np.int64,
+    "float": np.float64,
+    "text": object,
+    "number": np.float64,
+    "flag": object,
+}
+_FLAGS: Mapping[str, bool | None] = {
+    "true": True, "1": True, "false": False, "0": False, "": None,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -55,8 +66,9 @@ class Column:
         As it stands in the documentation; empty when the values have none.
     meaning : str
         One sentence, without its full stop.
-    kind : {'int', 'float', 'text'}
-        What the values are: int64, float64 or str.
+    kind : {'int', 'float', 'text', 'number', 'flag'}
+        What the values are: int64, float64, str, the number of a thing that may be missing
+        (float64, then NaN, as pandas reads it), or a bool that may be missing (then None).
     spec : str
         Format specification of a number; empty for the shortest text that reads back
         as the same value.
@@ -80,27 +92,36 @@ class Column:
             decimals = self.spec[1:-1]
             plural = "" if decimals == "1" else "s"
             return f"{decimals} decimal{plural}" if decimals else "shortest exact"
-        return {"int": "integer", "text": "text"}[self.kind]
+        return {
+            "int": "integer",
+            "text": "text",
+            "number": "integer or empty",
+            "flag": "`true`, `false` or empty",
+        }[self.kind]
 
     def encode(self, value: Any) -> str:
         """Write one value.
 
         Parameters
         ----------
-        value : int, float or str
+        value : int, float, str, bool or None
 
         Returns
         -------
         str
-            Empty for a float that is not a number.
+            Empty for what is missing: not a number, or a flag that is None.
         """
         if self.kind == "text":
             return str(value)
+        if self.kind == "flag":
+            return "" if value is None else str(bool(value)).lower()
         if self.kind == "int":
             return str(int(value))
         number = float(value)
         if math.isnan(number):
             return ""
+        if self.kind == "number":
+            return str(int(number))
         text = format(number, self.spec)
         # Rounding can leave a sign on nothing, and "-0.000" differs from "0.000" in bytes.
         return format(0.0, self.spec) if float(text) == 0.0 else text
@@ -114,7 +135,7 @@ class Column:
 
         Returns
         -------
-        (N,) int64, float64 or object (str)
+        (N,) int64, float64 or object (str, bool or None)
 
         Raises
         ------
@@ -125,6 +146,10 @@ class Column:
             return np.array([int(text) for text in texts], dtype=np.int64)
         if self.kind == "float":
             return np.array([float(text or "nan") for text in texts], dtype=np.float64)
+        if self.kind == "number":
+            return np.array([int(text) if text else np.nan for text in texts], dtype=np.float64)
+        if self.kind == "flag":
+            return np.array([_flag(text) for text in texts], dtype=object)
         return np.array(texts, dtype=object)
 
 
@@ -249,6 +274,13 @@ class Table:
         return "\n".join(lines) + "\n"
 
 
+def _flag(text: str) -> bool | None:
+    """Read true, false or nothing; other programs write them in capitals, or as 1 and 0."""
+    if text.lower() not in _FLAGS:
+        raise ValueError(f"{text!r} is neither true nor false")
+    return _FLAGS[text.lower()]
+
+
 def _split_rows(text: str, where: str) -> tuple[list[str], list[_Row]]:
     """Header and rows of CSV text, every row as long as the header."""
     reader = csv.reader(io.StringIO(text), strict=True)
@@ -283,6 +315,14 @@ def _decode_column(column: Column, place: int, rows: Sequence[_Row], where: str)
 
 def _count(name: str, meaning: str, unit: str = "") -> Column:
     return Column(name, unit, meaning, kind="int")
+
+
+def _flag_column(name: str, meaning: str) -> Column:
+    return Column(name, "", meaning, kind="flag")
+
+
+def _number(name: str, meaning: str) -> Column:
+    return Column(name, "", meaning, kind="number")
 
 
 def _metres(name: str, meaning: str) -> Column:
@@ -338,6 +378,21 @@ SEGMENTS = Table(
         Column("pca_eig_0", "m²", "Largest eigenvalue of the points' covariance"),
         Column("pca_eig_1", "m²", "Second eigenvalue of the points' covariance"),
         Column("pca_eig_2", "m²", "Smallest eigenvalue of the points' covariance"),
+        _metres(
+            "sigma_offset",
+            "Standard deviation of the axis across its direction, halfway between the ends; this "
+            "and the next four are empty where they are not known",
+        ),
+        Column("sigma_angle_deg", "°", "Standard deviation of the direction"),
+        _metres("sigma_radius", "Standard deviation of the radius, were it measured freely"),
+        _metres("sigma_end_1", "Standard deviation of the first end along the axis"),
+        _metres("sigma_end_2", "Standard deviation of the second end along the axis"),
+        _flag_column(
+            "end_1_seen",
+            "Whether the camera saw past the first end, or what the beam ends in; empty where it "
+            "was not asked",
+        ),
+        _flag_column("end_2_seen", "Likewise of the second end"),
         _seconds("first_seen_s", "First scan with the beam, from the start of the recording"),
         _seconds("last_seen_s", "Last scan with the beam, from the start of the recording"),
     ),
@@ -358,10 +413,59 @@ INTERSECTIONS = Table(
         _metres("z", "Halfway between the two axes, world frame, z"),
         _metres("distance", "Distance between the two axes"),
         Column("angle_deg", "°", "Angle between the two axes, 0 to 90"),
+        _number("joint", "Number of the joint that it is part of"),
     ),
     deterministic=True,
 )
 """Where beams touch."""
+
+JOINTS = Table(
+    "joints.csv",
+    "One row per place where beams meet, in the world frame, in order of its beams.",
+    (
+        _count("joint", "Number of the joint, from 0"),
+        _metres("x", "The point closest to all axes that meet there, x"),
+        _metres("y", "The point closest to all axes that meet there, y"),
+        _metres("z", "The point closest to all axes that meet there, z"),
+        _count("n_segments", "Number of beams that meet there"),
+        Column("segments", "", "Numbers of these beams, joined by `;`", kind="text"),
+        _metres("residual", "Root mean square of the distances of their axes from the point"),
+        _metres(
+            "sigma_x",
+            "Standard deviation of x; this and the next two are empty where that of an axis is "
+            "not known",
+        ),
+        _metres("sigma_y", "Standard deviation of y"),
+        _metres("sigma_z", "Standard deviation of z"),
+    ),
+    deterministic=True,
+)
+"""Where any number of beams meet."""
+
+MEMBERS = Table(
+    "members.csv",
+    "One row per part of a beam between two consecutive joints or ends, in the world frame, in "
+    "order of its beam, then along it.",
+    (
+        _count("member", "Number of the member, from 0"),
+        _count("segment", "Number of the beam that it is part of"),
+        _metres("t1", "Where on the beam it begins: `a + t1 * b`"),
+        _metres("t2", "Where on the beam it ends: `a + t2 * b`"),
+        _metres("length", "Distance between the two"),
+        _number("joint_1", "Number of the joint where it begins; empty at a free end"),
+        _number("joint_2", "Number of the joint where it ends; empty at a free end"),
+        _metres("x1", "Where it begins, x"),
+        _metres("y1", "Where it begins, y"),
+        _metres("z1", "Where it begins, z"),
+        _metres("x2", "Where it ends, x"),
+        _metres("y2", "Where it ends, y"),
+        _metres("z2", "Where it ends, z"),
+        _metres("radius", "Radius of the beam"),
+        Column("shape", "", "Cross-section of the beam: `round`", kind="text"),
+    ),
+    deterministic=True,
+)
+"""The beams between their joints."""
 
 PROCESSING_TIME = Table(
     "processing_time.csv",
@@ -386,7 +490,7 @@ PROCESSING_TIME = Table(
 )
 """Times of every scan. The first four columns are those of the original node."""
 
-TABLES = (SEGMENTS, INTERSECTIONS, PROCESSING_TIME)
+TABLES = (SEGMENTS, INTERSECTIONS, JOINTS, MEMBERS, PROCESSING_TIME)
 """Every table of a run."""
 
 TRUTH = Table(

@@ -13,9 +13,12 @@ from beamseg_batch import read_run
 FILES = {
     "config.yaml",
     "intersections.csv",
+    "joints.csv",
+    "members.csv",
     "processing_time.csv",
     "report.html",
     "segments.csv",
+    "structure.npz",
     "summary.json",
 }
 
@@ -43,7 +46,7 @@ def test_run__sums_up_on_stdout_and_logs_on_stderr(ok, flight):
     result = ok("run", flight, "-o", "out")
     assert [line.split()[0] for line in result.stdout.splitlines()] == [
         "beams",
-        "intersections",
+        "joints",
         "scans",
         "time",
         "report",

@@ -148,6 +148,8 @@ def write_run(folder: Path, ends, intersections="", original=False, radii=RADIUS
     n = len(ends)
     lines = Lines.between(ends[:, 0], ends[:, 1])
     columns = {column.name: [0] * n for column in SEGMENTS.columns}
+    unknown = [name for name in columns if name.startswith(("sigma_", "end_"))]
+    columns |= dict.fromkeys(unknown, [""] * n)
     columns |= {"segment": range(n), "t_min": [0.0] * n, "t_max": lines.lengths}
     columns |= {f"a_{axis}": lines.starts[:, k] for k, axis in enumerate("xyz")}
     columns |= {f"b_{axis}": lines.directions[:, k] for k, axis in enumerate("xyz")}

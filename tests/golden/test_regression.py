@@ -89,7 +89,7 @@ def test_renew__says_what_changed_and_heals(case):
 
 
 def test_renew__new_case(case):
-    for name in ("segments.csv", "intersections.csv", "evaluation.json"):
+    for name in ("segments.csv", "intersections.csv", "joints.csv", "evaluation.json"):
         (case.golden / name).unlink()
     assert renew(case) == "new"
     assert regress(case) == ""

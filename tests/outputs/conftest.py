@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 
 from beamseg_batch.config import OutputConfig, RunConfig
-from beamseg_batch.geometry import RigidTransform, normalised
+from beamseg_batch.geometry import RigidTransform, line_parameters, normalised
 from beamseg_batch.model import (
     STAGES,
     FlightResult,
     Intersection,
+    Joint,
+    Member,
     RecordingInfo,
     ScanRecord,
     Segment,
@@ -39,8 +41,45 @@ def make_segment(rng: np.random.Generator, **changes: Any) -> Segment:
         "n_scans": int(rng.integers(1, 200)),
         "first_seen_ns": START_NS + int(rng.integers(0, 10**9)),
         "last_seen_ns": START_NS + int(rng.integers(10**9, 10**10)),
+        "covariance": make_covariance(rng, 6),
+        "sigma_radius": rng.uniform(0.0001, 0.002),
+        "sigma_ends": rng.uniform(0.0001, 0.01, 2),
+        "ends_seen": (bool(rng.integers(2)), bool(rng.integers(2))),
     }
     return Segment(**(values | changes))
+
+
+def make_covariance(rng: np.random.Generator, size: int) -> np.ndarray:
+    """Build a covariance of some millimetres."""
+    root = rng.normal(0.0, 0.001, (size, size))
+    return root @ root.T
+
+
+def make_joint(rng: np.random.Generator, segments: tuple[Segment, ...], pair: tuple) -> Joint:
+    """Build a joint in the middle of the first of its beams."""
+    position = segments[pair[0]].midpoint
+    axes = [(segments[k].anchor, segments[k].direction) for k in pair]
+    return Joint(
+        position=position,
+        covariance=make_covariance(rng, 3),
+        residual=0.0155,
+        segments=pair,
+        t=tuple(float(line_parameters(position[None], *axis)[0]) for axis in axes),
+    )
+
+
+def make_members(segments: tuple[Segment, ...], joints: tuple[Joint, ...]) -> tuple[Member, ...]:
+    """Cut the first beam of each joint there; the others are whole, and end there."""
+    members = []
+    for number, segment in enumerate(segments):
+        joint = next((j for j, one in enumerate(joints) if number in one.segments), None)
+        if joint is not None and joints[joint].segments[0] == number:
+            t = joints[joint].t[0]
+            members.append(Member(number, segment.t_min, t, None, joint))
+            members.append(Member(number, t, segment.t_max, joint, None))
+        else:
+            members.append(Member(number, segment.t_min, segment.t_max, joint, None))
+    return tuple(members)
 
 
 def make_scan(rng: np.random.Generator, index: int) -> ScanRecord:
@@ -99,11 +138,15 @@ def build_flight(
     segments = tuple(make_segment(rng) for _ in range(n_segments))
     pairs = [(i, i + 1) for i in range(0, n_segments - 1, 3)]
     intersections = tuple(
-        Intersection(i, j, 0.25, -0.125, segments[i].midpoint, 0.031, 87.5) for i, j in pairs
+        Intersection(i, j, 0.25, -0.125, segments[i].midpoint, 0.031, 87.5, joint)
+        for joint, (i, j) in enumerate(pairs)
     )
+    joints = tuple(make_joint(rng, segments, pair) for pair in pairs)
     values: dict[str, Any] = {
         "segments": segments,
         "intersections": intersections,
+        "joints": joints,
+        "members": make_members(segments, joints),
         "scans": tuple(make_scan(rng, index) for index in range(n_scans)),
         "skipped": Counter({"no_pose_within_gap": 3, "no_points_in_window": 2}),
         "rejections": Counter({"gap": 4, "n_points": 11}),

@@ -101,10 +101,28 @@ def test_render_report__large_flight_is_under_8_megabytes(make_flight):
 
 def test_render_report__far_too_many_beams_are_still_under_8_megabytes(make_flight):
     flight = make_flight(n_segments=5000, n_scans=12_000, n_cloud=200_000)
-    html = render_report(dataclasses.replace(flight, intersections=flight.intersections * 4))
+    joints, intersections = flight.joints * 4, flight.intersections * 4
+    html = render_report(dataclasses.replace(flight, intersections=intersections, joints=joints))
     assert len(html.encode()) < 8_000_000
     assert "The first 2000 of 5000 beams are drawn." in html
     assert f"The first {MAX_TABLE_ROWS} of 5000 beams" in html
+
+
+def test_render_report__lists_and_draws_the_joints(page, flight):
+    rows = re.findall(r"<tr>.*?</tr>", render_report(flight), re.DOTALL)
+    cells = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in rows]
+    for number, joint in enumerate(flight.joints):
+        place = [f"{value:.3f}" for value in joint.position]
+        sigma = f"{1e3 * np.sqrt(np.trace(joint.covariance)):.1f}"
+        beams = ", ".join(map(str, joint.segments))
+        assert [str(number), *place, beams, "15.5", sigma] in cells
+    drawn = trace(page.figures, "joints")
+    centres = np.stack([decoded(drawn[axis]) for axis in "xyz"], axis=1)
+    vertices = len(centres) // len(flight.joints)
+    for joint, corners in zip(
+        flight.joints, np.split(centres, len(centres) // vertices), strict=True
+    ):
+        np.testing.assert_allclose(corners.mean(axis=0), joint.position, atol=1e-5)
 
 
 def test_render_report__says_what_was_processed(page):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -26,9 +27,12 @@ def test_write_run__writes_what_was_planned(tmp_path, flight):
     files = [
         "config.yaml",
         "intersections.csv",
+        "joints.csv",
+        "members.csv",
         "processing_time.csv",
         "report.html",
         "segments.csv",
+        "structure.npz",
         "summary.json",
     ]
     assert sorted(file.name for file in (tmp_path / "out").iterdir()) == files
@@ -54,8 +58,8 @@ def test_write_run__deterministic_tables_have_the_same_bytes(tmp_path, make_flig
         for wall_s in (1.0, 2.0)
     ]
     assert summaries[0]["results_sha256"] == summaries[1]["results_sha256"]
-    for table in TABLES:
-        first, second = (tmp_path / name / table.file_name for name in ("1.0", "2.0"))
+    for file in (*(table.file_name for table in TABLES), "structure.npz"):
+        first, second = (tmp_path / name / file for name in ("1.0", "2.0"))
         assert first.read_bytes() == second.read_bytes()
 
 
@@ -82,9 +86,13 @@ def test_read_run__equals_what_was_written(tmp_path, flight_without_report):
     assert run.summary == written.summary
     assert_same(run.segments, flight_without_report.segments)
     assert_same(run.intersections, flight_without_report.intersections)
+    assert_same(run.joints, flight_without_report.joints)
+    assert run.members == flight_without_report.members
     assert {name: len(table) for name, table in run.tables.items()} == {
         "segments": 7,
         "intersections": 2,
+        "joints": 2,
+        "members": 9,
         "processing_time": 30,
     }
     scan = run.tables["processing_time"].iloc[3]
@@ -95,7 +103,7 @@ def test_read_run__equals_what_was_written(tmp_path, flight_without_report):
 def test_read_run__empty(tmp_path, empty_flight):
     write_run(empty_flight, tmp_path / "out")
     run = read_run(tmp_path / "out")
-    assert run.segments == run.intersections == ()
+    assert run.segments == run.intersections == run.joints == run.members == ()
     assert run.tables["segments"].empty
 
 
@@ -151,6 +159,8 @@ def test_read_run__no_run(tmp_path):
         ("segments.csv", b"segment\n", "has no column a_x"),
         ("processing_time.csv", b"", "is empty"),
         ("intersections.csv", None, "cannot be read"),
+        ("joints.csv", b"joint,x\n", "has no column y"),
+        ("members.csv", None, "cannot be read"),
     ],
 )
 def test_read_run__damaged(tmp_path, flight_without_report, name, content, reason):
@@ -160,6 +170,54 @@ def test_read_run__damaged(tmp_path, flight_without_report, name, content, reaso
         (folder / name).write_bytes(content)
     with pytest.raises(RunError, match=f"{name}: {reason}"):
         read_run(folder)
+
+
+def test_read_run__what_is_not_known_stays_unknown(tmp_path, make_flight):
+    flight = make_flight(config=RunConfig(outputs=OutputConfig(report=False)))
+    unknown = {"covariance": np.full((6, 6), np.nan), "sigma_radius": np.nan}
+    segments = tuple(
+        replace(one, **unknown, sigma_ends=np.full(2, np.nan), ends_seen=None)
+        for one in flight.segments
+    )
+    joints = tuple(replace(one, covariance=np.full((3, 3), np.nan)) for one in flight.joints)
+    folder = write_run(replace(flight, segments=segments, joints=joints), tmp_path / "out").folder
+    run = read_run(folder)
+    assert_same(run.segments, segments)
+    assert_same(run.joints, joints)
+    sigmas = [name for name in run.tables["segments"] if name.startswith(("sigma", "end_"))]
+    assert len(sigmas) == 7
+    assert run.tables["segments"][sigmas].isna().all(axis=None)
+
+
+def test_tables__are_what_pandas_reads(tmp_path, flight_without_report):
+    run = read_run(write_run(flight_without_report, tmp_path / "out").folder)
+    for name, table in run.tables.items():
+        read = pd.read_csv(tmp_path / "out" / f"{name}.csv")
+        pd.testing.assert_frame_equal(table, read, check_dtype=False)
+    members = run.tables["members"]
+    assert members["joint_1"].isna().any()
+    assert (members["length"] == members["t2"] - members["t1"]).all()
+
+
+def test_run__joint_of_a_segment_that_is_not_there(tmp_path, flight_without_report):
+    folder = write_run(flight_without_report, tmp_path / "out").folder
+    file = folder / "joints.csv"
+    for wrong in ("0;99", "0;x"):
+        text = (folder / "joints.csv").read_text().replace("0;1", wrong)
+        (tmp_path / "joints.csv").write_text(file.read_text())
+        file.write_text(text)
+        with pytest.raises(RunError, match=r"joints\.csv: column segments does not name segments"):
+            _ = read_run(folder).joints
+        file.write_text((tmp_path / "joints.csv").read_text())
+
+
+def test_run__structure_of_another_run(tmp_path, make_flight):
+    config = RunConfig(outputs=OutputConfig(report=False))
+    folder = write_run(make_flight(config=config), tmp_path / "out").folder
+    other = write_run(make_flight(config=config, n_segments=4), tmp_path / "other").folder
+    (folder / "structure.npz").write_bytes((other / "structure.npz").read_bytes())
+    with pytest.raises(RunError, match=r"has 4 entries, but segments\.csv 7 rows"):
+        _ = read_run(folder).segments
 
 
 def test_write_run__file_name_that_is_not_unicode(tmp_path, make_flight, describe_recording):

@@ -51,6 +51,8 @@ def test_summarise__counts(flight):
         "rejected_by_criterion": {"gap": 4, "n_points": 11},
         "segments": 7,
         "intersections": 2,
+        "joints": 2,
+        "members": 9,
     }
 
 

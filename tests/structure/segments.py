@@ -82,3 +82,11 @@ def detections(*segments, stamp_ns=0):
         cloud=np.empty((0, 3), np.float32),
         stage_us={},
     )
+
+
+def known(segment, sigma, slope=0.0):
+    """The same segment, its axis known by so many metres and radians in each normal direction."""
+    across = np.eye(3) - np.outer(segment.direction, segment.direction)
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3], covariance[3:, 3:] = sigma**2 * across, slope**2 * across
+    return replace(segment, covariance=covariance)

@@ -60,7 +60,8 @@ def command(
 
     RECORDING is a ROS 1 bag, a ROS 2 bag (folder or file) or an MCAP file; several paths
     are the parts of one flight. The output folder then holds segments.csv (the beams),
-    intersections.csv, processing_time.csv, summary.json, config.yaml and report.html.
+    joints.csv, members.csv, intersections.csv, processing_time.csv, structure.npz,
+    summary.json, config.yaml and report.html.
 
     \b
     Examples:
@@ -155,7 +156,8 @@ def _five_lines(result: FlightResult, written: WrittenRun) -> str:
         [
             f"beams          {len(result.segments)}, {length:.2f} m in all"
             + (f", the longest {longest.length:.2f} m" if longest else ""),
-            f"intersections  {len(result.intersections)}",
+            f"joints         {len(result.joints)}, "
+            f"{len(result.intersections)} pairs of beams touch",
             f"scans          {len(result.scans)} used, {result.skipped.total()} skipped, "
             f"{result.recording.duration_s:.1f} s of flight",
             f"time           {result.wall_s:.1f} s{pace}",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from beamseg_batch.evaluation.matching import Lines
 from beamseg_batch.geometry import FloatArray, clusters
 from beamseg_batch.tables import (
     INTERSECTIONS,
+    JOINTS,
     PROCESSING_TIME,
     SEGMENTS,
     Column,
@@ -32,11 +33,9 @@ SIGMAS = ("offset", "angle_deg", "radius", "end_1", "end_2")
 _ANCHOR, _DIRECTION = ("a_x", "a_y", "a_z"), ("b_x", "b_y", "b_z")
 _ORIGINAL = ("segment", *_ANCHOR, *_DIRECTION, "t_min", "t_max")
 _MAY_BE_THERE = ("bow", *(f"sigma_{name}" for name in SIGMAS))
-_JOINTS = Table(
-    "joints.csv",
-    "One row per joint.",
-    tuple(Column(axis, "m", f"Where the joint is, {axis}") for axis in "xyz"),
-    deterministic=True,
+# All that is needed of joints: a table of another program may name the rest as it likes.
+_JOINT_PLACES = replace(
+    JOINTS, columns=tuple(column for column in JOINTS.columns if column.name in "xyz")
 )
 
 
@@ -133,11 +132,21 @@ def load_result(folder: Path, radius: float | None = None) -> Result:
         radii=radii,
         shapes=tuple(columns["shape"].tolist()) if "shape" in columns else None,
         bows=None if bows is None else np.abs(bows),
-        sigmas={name: columns[f"sigma_{name}"] for name in SIGMAS if f"sigma_{name}" in columns},
+        sigmas=_sigmas(columns),
         touching=touching,
         joints=joints,
         notes=() if joints is not None else (f"{folder} says nothing of joints",),
     )
+
+
+def _sigmas(columns: ColumnArrays) -> dict[str, FloatArray]:
+    """Deviations that are claimed: a column that is empty throughout claims nothing."""
+    sigmas = {name: columns.get(f"sigma_{name}") for name in SIGMAS}
+    return {
+        name: values
+        for name, values in sigmas.items()
+        if values is not None and np.isfinite(values).any()
+    }
 
 
 def _require_sound_claims(columns: ColumnArrays, where: str) -> None:
@@ -232,9 +241,9 @@ def _joints(
         groups = clusters(positions, radii[touching].sum(axis=1))
         joints = np.array([positions[group].mean(axis=0) for group in groups]).reshape(-1, 3)
         touching = np.sort(touching, axis=1)
-    file = folder / _JOINTS.file_name
+    file = folder / JOINTS.file_name
     if file.is_file():
-        columns = _JOINTS.decode(read_text(file), str(file))
+        columns = _JOINT_PLACES.decode(read_text(file), str(file))
         require_finite(columns, "xyz", str(file))
         joints = vectors(columns, "xyz")
     return touching, joints

@@ -6,13 +6,25 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from beamseg_batch.geometry import FloatArray
-from beamseg_batch.model import STAGES, FlightResult, Intersection, ScanRecord, Segment
+from beamseg_batch.geometry import FloatArray, line_parameters
+from beamseg_batch.model import (
+    STAGES,
+    FlightResult,
+    Intersection,
+    Joint,
+    Member,
+    ScanRecord,
+    Segment,
+)
 from beamseg_batch.tables import ColumnArrays
 
 __all__ = [
     "intersection_columns",
     "intersections_from_columns",
+    "joint_columns",
+    "joints_from_columns",
+    "member_columns",
+    "members_from_columns",
     "processing_time_columns",
     "segment_columns",
     "segments_from_columns",
@@ -20,6 +32,7 @@ __all__ = [
 ]
 
 _CLOCK_SLACK_NS = 60 * 10**9
+_SEPARATOR = ";"  # between the numbers of a joint's beams
 
 
 def time_origin_ns(result: FlightResult) -> int:
@@ -61,7 +74,16 @@ def segment_columns(segments: Sequence[Segment], origin_ns: int) -> ColumnArrays
     columns: ColumnArrays = {"segment": np.arange(len(segments), dtype=np.int64)}
     columns |= _vectors(("a_x", "a_y", "a_z"), [s.anchor for s in segments])
     columns |= _vectors(("b_x", "b_y", "b_z"), [s.direction for s in segments])
-    for name in ("t_min", "t_max", "radius", "length", "pca_coeff"):
+    for name in (
+        "t_min",
+        "t_max",
+        "radius",
+        "length",
+        "pca_coeff",
+        "sigma_offset",
+        "sigma_angle_deg",
+        "sigma_radius",
+    ):
         columns[name] = np.array([getattr(s, name) for s in segments], dtype=np.float64)
     columns |= _vectors(("x1", "y1", "z1"), [s.end_1 for s in segments])
     columns |= _vectors(("x2", "y2", "z2"), [s.end_2 for s in segments])
@@ -69,6 +91,10 @@ def segment_columns(segments: Sequence[Segment], origin_ns: int) -> ColumnArrays
     columns["n_points"] = np.array([s.n_points for s in segments], dtype=np.int64)
     columns["n_scans"] = np.array([s.n_scans for s in segments], dtype=np.int64)
     columns |= _vectors(("pca_eig_0", "pca_eig_1", "pca_eig_2"), [s.pca_eig for s in segments])
+    for k in (0, 1):
+        columns[f"sigma_end_{k + 1}"] = np.array([s.sigma_ends[k] for s in segments], np.float64)
+        seen = [s.ends_seen[k] if s.ends_seen else None for s in segments]
+        columns[f"end_{k + 1}_seen"] = np.array(seen, dtype=object)
     columns["first_seen_s"] = _seconds_since(origin_ns, [s.first_seen_ns for s in segments])
     columns["last_seen_s"] = _seconds_since(origin_ns, [s.last_seen_ns for s in segments])
     return columns
@@ -92,8 +118,65 @@ def intersection_columns(intersections: Sequence[Intersection]) -> ColumnArrays:
         "t2": np.array([i.t_2 for i in intersections], dtype=np.float64),
         "distance": np.array([i.distance for i in intersections], dtype=np.float64),
         "angle_deg": np.array([i.angle_deg for i in intersections], dtype=np.float64),
+        "joint": _numbers([i.joint for i in intersections]),
     }
     return columns | _vectors(("x", "y", "z"), [i.position for i in intersections])
+
+
+def joint_columns(joints: Sequence[Joint]) -> ColumnArrays:
+    """Columns of `joints.csv`.
+
+    Parameters
+    ----------
+    joints : sequence of Joint
+
+    Returns
+    -------
+    mapping of str to (N,) array
+    """
+    sigmas = [np.sqrt(joint.covariance.diagonal()) for joint in joints]
+    named = [_SEPARATOR.join(map(str, joint.segments)) for joint in joints]
+    columns: ColumnArrays = {
+        "joint": np.arange(len(joints), dtype=np.int64),
+        "n_segments": np.array([len(joint.segments) for joint in joints], dtype=np.int64),
+        "segments": np.array(named, dtype=object),
+        "residual": np.array([joint.residual for joint in joints], dtype=np.float64),
+    }
+    columns |= _vectors(("x", "y", "z"), [joint.position for joint in joints])
+    return columns | _vectors(("sigma_x", "sigma_y", "sigma_z"), sigmas)
+
+
+def member_columns(members: Sequence[Member], segments: Sequence[Segment]) -> ColumnArrays:
+    """Columns of `members.csv`.
+
+    Parameters
+    ----------
+    members : sequence of Member
+    segments : sequence of Segment
+        That they are parts of.
+
+    Returns
+    -------
+    mapping of str to (N,) array
+    """
+    beams = [segments[member.segment] for member in members]
+    ends = [
+        (beam.anchor + member.t_1 * beam.direction, beam.anchor + member.t_2 * beam.direction)
+        for member, beam in zip(members, beams, strict=True)
+    ]
+    columns: ColumnArrays = {
+        "member": np.arange(len(members), dtype=np.int64),
+        "segment": np.array([member.segment for member in members], dtype=np.int64),
+        "t1": np.array([member.t_1 for member in members], dtype=np.float64),
+        "t2": np.array([member.t_2 for member in members], dtype=np.float64),
+        "length": np.array([member.length for member in members], dtype=np.float64),
+        "joint_1": _numbers([member.joint_1 for member in members]),
+        "joint_2": _numbers([member.joint_2 for member in members]),
+        "radius": np.array([beam.radius for beam in beams], dtype=np.float64),
+        "shape": np.full(len(members), "round", dtype=object),
+    }
+    columns |= _vectors(("x1", "y1", "z1"), [one for one, _ in ends])
+    return columns | _vectors(("x2", "y2", "z2"), [other for _, other in ends])
 
 
 def processing_time_columns(scans: Sequence[ScanRecord]) -> ColumnArrays:
@@ -122,7 +205,9 @@ def processing_time_columns(scans: Sequence[ScanRecord]) -> ColumnArrays:
     return columns
 
 
-def segments_from_columns(columns: ColumnArrays, origin_ns: int) -> tuple[Segment, ...]:
+def segments_from_columns(
+    columns: ColumnArrays, origin_ns: int, covariances: FloatArray
+) -> tuple[Segment, ...]:
     """Segments of the columns of `segments.csv`, without their points.
 
     Parameters
@@ -130,6 +215,8 @@ def segments_from_columns(columns: ColumnArrays, origin_ns: int) -> tuple[Segmen
     columns : mapping of str to (N,) array
     origin_ns : int
         Instant from which seconds are counted.
+    covariances : (N, 6, 6) float64
+        Of anchors and directions, which the table does not hold.
 
     Returns
     -------
@@ -138,6 +225,7 @@ def segments_from_columns(columns: ColumnArrays, origin_ns: int) -> tuple[Segmen
     anchors = _rows(columns, ("a_x", "a_y", "a_z"))
     directions = _rows(columns, ("b_x", "b_y", "b_z"))
     eigenvalues = _rows(columns, ("pca_eig_0", "pca_eig_1", "pca_eig_2"))
+    sigma_ends = _rows(columns, ("sigma_end_1", "sigma_end_2"))
     return tuple(
         Segment(
             anchor=anchors[i],
@@ -151,6 +239,10 @@ def segments_from_columns(columns: ColumnArrays, origin_ns: int) -> tuple[Segmen
             n_scans=int(columns["n_scans"][i]),
             first_seen_ns=origin_ns + round(float(columns["first_seen_s"][i]) * 1e9),
             last_seen_ns=origin_ns + round(float(columns["last_seen_s"][i]) * 1e9),
+            covariance=covariances[i],
+            sigma_radius=float(columns["sigma_radius"][i]),
+            sigma_ends=sigma_ends[i],
+            ends_seen=_both(columns["end_1_seen"][i], columns["end_2_seen"][i]),
         )
         for i in range(len(anchors))
     )
@@ -177,9 +269,86 @@ def intersections_from_columns(columns: ColumnArrays) -> tuple[Intersection, ...
             position=positions[i],
             distance=float(columns["distance"][i]),
             angle_deg=float(columns["angle_deg"][i]),
+            joint=_index(columns["joint"][i]),
         )
         for i in range(len(positions))
     )
+
+
+def joints_from_columns(
+    columns: ColumnArrays, segments: Sequence[Segment], covariances: FloatArray
+) -> tuple[Joint, ...]:
+    """Joints of the columns of `joints.csv`.
+
+    Parameters
+    ----------
+    columns : mapping of str to (N,) array
+    segments : sequence of Segment
+        That meet there.
+    covariances : (N, 3, 3) float64, square metres
+        Of the positions, whose diagonals alone the table holds.
+
+    Returns
+    -------
+    tuple of Joint
+
+    Raises
+    ------
+    ValueError
+        If one names its segments by what is not a number.
+    IndexError
+        If there is no segment of that number.
+    """
+    joints = []
+    for i, position in enumerate(_rows(columns, ("x", "y", "z"))):
+        numbers = tuple(map(int, columns["segments"][i].split(_SEPARATOR)))
+        axes = [(segments[k].anchor, segments[k].direction) for k in numbers]
+        joints.append(
+            Joint(
+                position=position,
+                covariance=covariances[i],
+                residual=float(columns["residual"][i]),
+                segments=numbers,
+                t=tuple(float(line_parameters(position[None], *axis)[0]) for axis in axes),
+            )
+        )
+    return tuple(joints)
+
+
+def members_from_columns(columns: ColumnArrays) -> tuple[Member, ...]:
+    """Members of the columns of `members.csv`.
+
+    Parameters
+    ----------
+    columns : mapping of str to (N,) array
+
+    Returns
+    -------
+    tuple of Member
+    """
+    return tuple(
+        Member(
+            segment=int(columns["segment"][i]),
+            t_1=float(columns["t1"][i]),
+            t_2=float(columns["t2"][i]),
+            joint_1=_index(columns["joint_1"][i]),
+            joint_2=_index(columns["joint_2"][i]),
+        )
+        for i in range(len(columns["member"]))
+    )
+
+
+def _numbers(numbers: Sequence[int | None]) -> FloatArray:
+    """Numbers of things, of which some are missing."""
+    return np.array([np.nan if n is None else n for n in numbers], dtype=np.float64)
+
+
+def _index(number: float) -> int | None:
+    return None if np.isnan(number) else int(number)
+
+
+def _both(one: bool | None, other: bool | None) -> tuple[bool, bool] | None:
+    return None if one is None or other is None else (one, other)
 
 
 def _vectors(names: tuple[str, str, str], vectors: Sequence[FloatArray]) -> ColumnArrays:
@@ -187,7 +356,7 @@ def _vectors(names: tuple[str, str, str], vectors: Sequence[FloatArray]) -> Colu
     return {name: stacked[:, axis] for axis, name in enumerate(names)}
 
 
-def _rows(columns: ColumnArrays, names: tuple[str, str, str]) -> FloatArray:
+def _rows(columns: ColumnArrays, names: tuple[str, ...]) -> FloatArray:
     return np.stack([columns[name] for name in names], axis=1)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamseg_batch.geometry import FloatArray
-from beamseg_batch.model import FlightResult, Intersection, ScanRecord, Segment, Trajectory
+from beamseg_batch.model import FlightResult, Joint, ScanRecord, Segment, Trajectory
 from beamseg_batch.outputs.columns import time_origin_ns
 from beamseg_batch.pages.figures import (
     Figure,
@@ -35,13 +35,13 @@ __all__ = [
 ]
 
 MAX_BEAMS = 2_000
-"""Beams, and as many intersections, that are drawn."""
+"""Beams, and as many joints, that are drawn."""
 MAX_CLOUD_POINTS = 30_000
 """Points of the cloud that are drawn."""
 
 _MAX_TRAJECTORY_POINTS = 4_000
 _MAX_SCANS = 10_000
-_INTERSECTION_REACH = 2.8  # in radii of the thicker beam, so 1.8 of them stand out
+_JOINT_REACH = 2.8  # in radii of the thickest beam, so 1.8 of them stand out
 
 # The page replaces these names by the colours of its light or dark theme.
 _BEAM, _JOINT, _PATH, _CLOUD = "$beam", "$joint", "$path", "$cloud"
@@ -63,7 +63,7 @@ def beam_mesh(segments: Sequence[Segment]) -> Mesh:
 
 
 def structure_figure(result: FlightResult) -> Figure:
-    """Draw beams, intersections, trajectory and a thinned cloud in three dimensions.
+    """Draw beams, joints, trajectory and a thinned cloud in three dimensions.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def structure_figure(result: FlightResult) -> Figure:
         _cloud_trace(result.cloud),
         _trajectory_trace(result.trajectory),
         _beams_trace(result.segments[:MAX_BEAMS]),
-        _intersections_trace(result),
+        _joints_trace(result),
     ]
     shown = np.concatenate(
         [_ends(result.segments).reshape(-1, 3), result.trajectory.positions, result.cloud]
@@ -225,28 +225,25 @@ def _beam_label(number: int, beam: Segment) -> str:
     )
 
 
-def _intersections_trace(result: FlightResult) -> dict[str, Any] | None:
+def _joints_trace(result: FlightResult) -> dict[str, Any] | None:
     """Octahedra that stand out of the beams: a marker would be hidden inside of them."""
-    intersections = result.intersections[:MAX_BEAMS]
-    if not intersections:
+    joints = result.joints[:MAX_BEAMS]
+    if not joints:
         return None
-    centres = np.array([i.position for i in intersections])
-    radii = [
-        max(result.segments[i.segment_1].radius, result.segments[i.segment_2].radius)
-        for i in intersections
-    ]
-    mesh = octahedron_mesh(centres, _INTERSECTION_REACH * np.array(radii))
-    labels = [_intersection_label(i) for i in intersections]
-    return mesh_trace("intersections", _JOINT, mesh, labels) | {
+    centres = np.array([joint.position for joint in joints])
+    radii = [max(result.segments[k].radius for k in joint.segments) for joint in joints]
+    mesh = octahedron_mesh(centres, _JOINT_REACH * np.array(radii))
+    labels = [_joint_label(number, joint) for number, joint in enumerate(joints)]
+    return mesh_trace("joints", _JOINT, mesh, labels) | {
         "flatshading": True,
         "lighting": {"ambient": 0.75, "diffuse": 0.5},
     }
 
 
-def _intersection_label(intersection: Intersection) -> str:
+def _joint_label(number: int, joint: Joint) -> str:
     return (
-        f"<b>beams {intersection.segment_1} and {intersection.segment_2}</b>"
-        f"<br>{intersection.angle_deg:.1f}°, axes {intersection.distance * 1e3:.1f} mm apart"
+        f"<b>joint {number}</b><br>beams {', '.join(map(str, joint.segments))}"
+        f"<br>axes within {joint.residual * 1e3:.1f} mm"
     )
 
 

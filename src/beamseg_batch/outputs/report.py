@@ -6,8 +6,10 @@ from collections.abc import Mapping, Sequence
 from importlib import resources
 from typing import Any
 
+import numpy as np
+
 from beamseg_batch.config import config_yaml
-from beamseg_batch.model import STAGES, FlightResult, Intersection, Segment
+from beamseg_batch.model import STAGES, FlightResult, Intersection, Joint, Segment
 from beamseg_batch.outputs.columns import time_origin_ns
 from beamseg_batch.outputs.figures import (
     MAX_BEAMS,
@@ -55,6 +57,7 @@ def render_report(result: FlightResult, summary: Mapping[str, Any] | None = None
         has_structure="structure" in figures,
         beams=[_beam_row(n, s, result) for n, s in enumerate(result.segments[:MAX_TABLE_ROWS])],
         intersections=[_intersection_row(i) for i in result.intersections[:MAX_TABLE_ROWS]],
+        joints=[_joint_row(n, joint) for n, joint in enumerate(result.joints[:MAX_TABLE_ROWS])],
         stages=_stage_rows(summary),
         beams_detail=_beams_detail(result.segments),
         max_beams=MAX_BEAMS,
@@ -101,6 +104,18 @@ def _intersection_row(intersection: Intersection) -> dict[str, Any]:
         "t_2": _metres(intersection.t_2),
         "distance": f"{intersection.distance * 1e3:.1f}",
         "angle": f"{intersection.angle_deg:.1f}",
+        "joint": "–" if intersection.joint is None else intersection.joint,
+    }
+
+
+def _joint_row(number: int, joint: Joint) -> dict[str, Any]:
+    sigma = float(np.sqrt(np.trace(joint.covariance)))
+    return {
+        "number": number,
+        "position": [_metres(value) for value in joint.position],
+        "beams": ", ".join(map(str, joint.segments)),
+        "residual": f"{joint.residual * 1e3:.1f}",
+        "sigma": "–" if np.isnan(sigma) else f"{sigma * 1e3:.1f}",
     }
 
 

@@ -11,16 +11,28 @@ from typing import TYPE_CHECKING, Any
 
 from beamseg_batch.config import RunConfig, config_yaml
 from beamseg_batch.errors import RunError
-from beamseg_batch.model import FlightResult, Intersection, Segment
+from beamseg_batch.geometry import FloatArray
+from beamseg_batch.model import FlightResult, Intersection, Joint, Member, Segment
 from beamseg_batch.outputs.columns import (
     intersection_columns,
     intersections_from_columns,
+    joint_columns,
+    joints_from_columns,
+    member_columns,
+    members_from_columns,
     processing_time_columns,
     segment_columns,
     segments_from_columns,
     time_origin_ns,
 )
 from beamseg_batch.outputs.folder import MANIFEST, OutputFolder, encoded
+from beamseg_batch.outputs.structure_file import (
+    STRUCTURE_FILE,
+    Arrays,
+    read_structure,
+    structure_arrays,
+    structure_npz,
+)
 from beamseg_batch.outputs.summary import (
     SCHEMA_VERSION,
     results_sha256,
@@ -29,6 +41,8 @@ from beamseg_batch.outputs.summary import (
 )
 from beamseg_batch.tables import (
     INTERSECTIONS,
+    JOINTS,
+    MEMBERS,
     PROCESSING_TIME,
     SEGMENTS,
     TABLES,
@@ -79,8 +93,13 @@ class Run:
     summary : dict
         The content of `summary.json`.
     columns : mapping of str to columns
-        The tables as arrays by column name, under `segments`, `intersections` and
-        `processing_time`.
+        The tables as arrays by column name, under `segments`, `intersections`, `joints`,
+        `members` and `processing_time`.
+
+    Notes
+    -----
+    `structure.npz` is read when it is first asked for: by `structure`, or for the
+    covariances of `segments` and `joints`. `RunError` says what is wrong with it.
     """
 
     folder: Path
@@ -91,12 +110,46 @@ class Run:
     def segments(self) -> tuple[Segment, ...]:
         """The beams as objects, without their points."""
         origin = int(self.summary["recording"]["time_origin_ns"])
-        return segments_from_columns(self.columns[SEGMENTS.name], origin)
+        covariances = self._covariances("segment_covariance", SEGMENTS)
+        return segments_from_columns(self.columns[SEGMENTS.name], origin, covariances)
 
     @cached_property
     def intersections(self) -> tuple[Intersection, ...]:
         """The intersections as objects."""
         return intersections_from_columns(self.columns[INTERSECTIONS.name])
+
+    @cached_property
+    def joints(self) -> tuple[Joint, ...]:
+        """The joints as objects."""
+        covariances = self._covariances("joint_covariance", JOINTS)
+        try:
+            return joints_from_columns(self.columns[JOINTS.name], self.segments, covariances)
+        except (ValueError, IndexError) as error:
+            file = self.folder / JOINTS.file_name
+            raise RunError(
+                f"{file}: column segments does not name segments of {SEGMENTS.file_name}: {error}"
+            ) from error
+
+    @cached_property
+    def members(self) -> tuple[Member, ...]:
+        """The members as objects."""
+        return members_from_columns(self.columns[MEMBERS.name])
+
+    @cached_property
+    def structure(self) -> Arrays:
+        """The arrays of `structure.npz`, by name."""
+        return read_structure(self.folder / STRUCTURE_FILE)
+
+    def _covariances(self, name: str, table: Table) -> FloatArray:
+        """Covariances of the rows of a table."""
+        covariances: FloatArray = self.structure[name]
+        rows = len(self.columns[table.name][table.column_names[0]])
+        if len(covariances) != rows:
+            raise RunError(
+                f"{self.folder / STRUCTURE_FILE}: {name} has {len(covariances)} entries, but "
+                f"{table.file_name} {rows} rows: the two are not of the same run"
+            )
+        return covariances
 
     @cached_property
     def tables(self) -> dict[str, pd.DataFrame]:
@@ -117,7 +170,7 @@ def planned_files(config: RunConfig) -> tuple[str, ...]:
     -------
     tuple of str
     """
-    names = [*(table.file_name for table in TABLES), CONFIG_FILE, MANIFEST]
+    names = [*(table.file_name for table in TABLES), STRUCTURE_FILE, CONFIG_FILE, MANIFEST]
     return tuple(sorted(names + [REPORT_FILE] * config.outputs.report))
 
 
@@ -160,6 +213,7 @@ def write_run(result: FlightResult, path: Path, *, overwrite: bool = False) -> W
         If the folder is occupied or cannot be written.
     """
     contents = _table_files(result)
+    contents[STRUCTURE_FILE] = structure_npz(structure_arrays(result))
     contents[CONFIG_FILE] = encoded(config_yaml(result.config))
     files = planned_files(result.config)
     summary = summarise(result, files, results_sha256(contents))
@@ -199,6 +253,8 @@ def _table_files(result: FlightResult) -> dict[str, bytes]:
     columns = {
         SEGMENTS: segment_columns(result.segments, time_origin_ns(result)),
         INTERSECTIONS: intersection_columns(result.intersections),
+        JOINTS: joint_columns(result.joints),
+        MEMBERS: member_columns(result.members, result.segments),
         PROCESSING_TIME: processing_time_columns(result.scans),
     }
     return {table.file_name: encoded(table.encode(values)) for table, values in columns.items()}

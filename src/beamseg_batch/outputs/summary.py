@@ -169,6 +169,8 @@ def _counts(result: FlightResult) -> dict[str, Any]:
         "rejected_by_criterion": dict(sorted(result.rejections.items())),
         "segments": len(result.segments),
         "intersections": len(result.intersections),
+        "joints": len(result.joints),
+        "members": len(result.members),
     }
 
 

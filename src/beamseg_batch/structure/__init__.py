@@ -3,6 +3,15 @@
 from beamseg_batch.structure.cloud import ThinnedCloud
 from beamseg_batch.structure.evidence import EvidenceStructure
 from beamseg_batch.structure.intersections import intersections_of
+from beamseg_batch.structure.joints import joints_of
+from beamseg_batch.structure.members import members_of
 from beamseg_batch.structure.structure import Structure
 
-__all__ = ["EvidenceStructure", "Structure", "ThinnedCloud", "intersections_of"]
+__all__ = [
+    "EvidenceStructure",
+    "Structure",
+    "ThinnedCloud",
+    "intersections_of",
+    "joints_of",
+    "members_of",
+]
