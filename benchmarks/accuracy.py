@@ -267,9 +267,8 @@ def _pooled(rows: list[dict[str, Any]]) -> dict[str, Any]:
         known = [
             (s, r["metrics"]["matched"]) for s, r in zip(shares, rows, strict=True) if s is not None
         ]
-        metrics[f"honesty.{kind}"] = (
-            float(np.average(*zip(*known, strict=True))) if known else None  # type: ignore[call-overload]
-        )
+        total = sum(count for _, count in known)
+        metrics[f"honesty.{kind}"] = sum(s * n for s, n in known) / total if total else None
     matches = [match for row in rows for match in row["matches"]]
     return {"metrics": metrics, "matches": matches, "seconds": sum(row["seconds"] for row in rows)}
 

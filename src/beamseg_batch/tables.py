@@ -384,7 +384,8 @@ SEGMENTS = Table(
             "and the next four are empty where they are not known",
         ),
         Column("sigma_angle_deg", "°", "Standard deviation of the direction"),
-        _metres("sigma_radius", "Standard deviation of the radius, were it measured freely"),
+        _metres("measured_radius", "Radius that fits the rays best, whatever `radius` is"),
+        _metres("sigma_radius", "Standard deviation of the measured radius"),
         _metres("sigma_end_1", "Standard deviation of the first end along the axis"),
         _metres("sigma_end_2", "Standard deviation of the second end along the axis"),
         _flag_column(

@@ -57,6 +57,7 @@ def result_of(ends, radii=RADIUS, joints=(), **more):
         radii=np.broadcast_to(np.asarray(radii, dtype=np.float64), n).copy(),
         shapes=None,
         bows=None,
+        measured_radii=None,
         sigmas={},
         touching=None,
         joints=None if joints is None else np.asarray(joints, dtype=np.float64).reshape(-1, 3),

@@ -42,6 +42,7 @@ def make_segment(rng: np.random.Generator, **changes: Any) -> Segment:
         "first_seen_ns": START_NS + int(rng.integers(0, 10**9)),
         "last_seen_ns": START_NS + int(rng.integers(10**9, 10**10)),
         "covariance": make_covariance(rng, 6),
+        "measured_radius": 0.0507,
         "sigma_radius": rng.uniform(0.0001, 0.002),
         "sigma_ends": rng.uniform(0.0001, 0.01, 2),
         "ends_seen": (bool(rng.integers(2)), bool(rng.integers(2))),

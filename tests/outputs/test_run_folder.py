@@ -174,7 +174,8 @@ def test_read_run__damaged(tmp_path, flight_without_report, name, content, reaso
 
 def test_read_run__what_is_not_known_stays_unknown(tmp_path, make_flight):
     flight = make_flight(config=RunConfig(outputs=OutputConfig(report=False)))
-    unknown = {"covariance": np.full((6, 6), np.nan), "sigma_radius": np.nan}
+    unknown = dict.fromkeys(("measured_radius", "sigma_radius"), np.nan)
+    unknown["covariance"] = np.full((6, 6), np.nan)
     segments = tuple(
         replace(one, **unknown, sigma_ends=np.full(2, np.nan), ends_seen=None)
         for one in flight.segments

@@ -123,6 +123,7 @@ def _match(evaluation: Evaluation, match: Match) -> dict[str, Any]:
         "coverage": match.coverage,
         "midpoint_distance": match.midpoint_distance,
         "radius_error": _number(match.radius_error),
+        "measured_radius_error": _number(match.measured_radius_error),
         "bow_error": _number(match.bow_error),
         "ends": [_end(end) for end in match.ends],
     }

@@ -85,6 +85,7 @@ MEASURES = (
     Measure("coverage.median", "", "Share of what was seen of a member beside its segment, median"),
     Measure("coverage.min", "", "The same, the least"),
     Measure("radius_error", "m", "Between the radii, round members only", True),
+    Measure("measured_radius_error", "m", "Likewise of radii that were measured freely", True),
     Measure(
         "radius_class.right", "", "Share of round members nearest to their own of the true radii"
     ),
@@ -103,7 +104,7 @@ MEASURES = (
     Measure("joints.error", "m", "From a true joint to the one found", True),
     Measure("honesty.offset", "", "Share of offsets at mid-overlap within 2 `sigma_offset`"),
     Measure("honesty.angle", "", "Share of angles within 2 `sigma_angle_deg`"),
-    Measure("honesty.radius", "", "Share of radius errors within 2 `sigma_radius`"),
+    Measure("honesty.radius", "", "Share of errors of measured radii within 2 `sigma_radius`"),
     Measure("honesty.ends", "", "Share of own ends within 2 `sigma_end`, along the axis"),
 )
 """Every measure, in the order in which it is told."""
@@ -144,7 +145,7 @@ class Match:
     midpoint_distance : float, metres
     ends : two EndError
         In the direction of the member.
-    radius_error : float, metres
+    radius_error, measured_radius_error : float, metres
         Signed, claimed minus true; NaN if the member is not round.
     bow_error : float, metres
         Signed; NaN if the run claims none.
@@ -159,6 +160,7 @@ class Match:
     midpoint_distance: float
     ends: tuple[EndError, EndError]
     radius_error: float
+    measured_radius_error: float
     bow_error: float
 
 
@@ -311,6 +313,11 @@ def _match(
         midpoint_distance=float(np.linalg.norm(middles[1] - middles[0])),
         ends=_end_errors(truth, result, member, segment),
         radius_error=float(result.radii[segment] - truth.radii[member]) if is_round else np.nan,
+        measured_radius_error=(
+            float(result.measured_radii[segment] - truth.radii[member])
+            if is_round and result.measured_radii is not None
+            else np.nan
+        ),
         bow_error=(
             np.nan if result.bows is None else float(result.bows[segment] - truth.bows[member])
         ),
@@ -478,6 +485,7 @@ def _section_metrics(
     radii = np.unique(np.round(truth.radii[is_round], 6))
     return {
         **spread("radius_error", (abs(match.radius_error) for match in matches)),
+        **spread("measured_radius_error", (abs(m.measured_radius_error) for m in matches)),
         "radius_class.right": _share(
             _nearest_radius(radii, result.radii[match.segment])
             == _nearest_radius(radii, truth.radii[match.member])
@@ -519,6 +527,12 @@ def _joint_metrics(truth: Truth, joints: JointMatches | None) -> dict[str, float
     return metrics
 
 
+def _deviating_error(match: Match) -> float:
+    """Error that a run's `sigma_radius` speaks of: that of the measured radius, if it has one."""
+    measured, stated = abs(match.measured_radius_error), abs(match.radius_error)
+    return measured if np.isfinite(measured) else stated
+
+
 def _honesty_metrics(result: Result, matches: Sequence[Match]) -> dict[str, float | int | None]:
     """Share of true errors within two of the standard deviations that are claimed."""
     unknown = np.full(len(result.numbers), np.nan)
@@ -526,7 +540,7 @@ def _honesty_metrics(result: Result, matches: Sequence[Match]) -> dict[str, floa
     errors = {
         "offset": [(m.mid_offset, claimed["offset"][m.segment]) for m in matches],
         "angle": [(m.angle_deg, claimed["angle_deg"][m.segment]) for m in matches],
-        "radius": [(abs(m.radius_error), claimed["radius"][m.segment]) for m in matches],
+        "radius": [(_deviating_error(m), claimed["radius"][m.segment]) for m in matches],
         "ends": [(end.along, end.sigma) for m in matches for end in m.ends if end.own],
     }
     return {

@@ -32,7 +32,7 @@ SIGMAS = ("offset", "angle_deg", "radius", "end_1", "end_2")
 
 _ANCHOR, _DIRECTION = ("a_x", "a_y", "a_z"), ("b_x", "b_y", "b_z")
 _ORIGINAL = ("segment", *_ANCHOR, *_DIRECTION, "t_min", "t_max")
-_MAY_BE_THERE = ("bow", *(f"sigma_{name}" for name in SIGMAS))
+_MAY_BE_THERE = ("bow", "measured_radius", *(f"sigma_{name}" for name in SIGMAS))
 # All that is needed of joints: a table of another program may name the rest as it likes.
 _JOINT_PLACES = replace(
     JOINTS, columns=tuple(column for column in JOINTS.columns if column.name in "xyz")
@@ -61,6 +61,8 @@ class Result:
     shapes : tuple of str, or None
     bows : (S,) float64, or None
         Never negative.
+    measured_radii : (S,) float64, metres, or None
+        Radii that were measured freely, where the run tells them.
     sigmas : mapping of str to (S,) float64
         Those of `SIGMAS` that the run claims; NaN where it does not.
     touching : (K, 2) int64, or None
@@ -76,6 +78,7 @@ class Result:
     radii: FloatArray
     shapes: tuple[str, ...] | None
     bows: FloatArray | None
+    measured_radii: FloatArray | None
     sigmas: Mapping[str, FloatArray]
     touching: NDArray[np.int64] | None
     joints: FloatArray | None
@@ -132,6 +135,7 @@ def load_result(folder: Path, radius: float | None = None) -> Result:
         radii=radii,
         shapes=tuple(columns["shape"].tolist()) if "shape" in columns else None,
         bows=None if bows is None else np.abs(bows),
+        measured_radii=_claimed(columns, "measured_radius"),
         sigmas=_sigmas(columns),
         touching=touching,
         joints=joints,
@@ -141,12 +145,14 @@ def load_result(folder: Path, radius: float | None = None) -> Result:
 
 def _sigmas(columns: ColumnArrays) -> dict[str, FloatArray]:
     """Deviations that are claimed: a column that is empty throughout claims nothing."""
-    sigmas = {name: columns.get(f"sigma_{name}") for name in SIGMAS}
-    return {
-        name: values
-        for name, values in sigmas.items()
-        if values is not None and np.isfinite(values).any()
-    }
+    sigmas = {name: _claimed(columns, f"sigma_{name}") for name in SIGMAS}
+    return {name: values for name, values in sigmas.items() if values is not None}
+
+
+def _claimed(columns: ColumnArrays, name: str) -> FloatArray | None:
+    """Return a column, unless it is missing or empty throughout."""
+    values = columns.get(name)
+    return values if values is not None and np.isfinite(values).any() else None
 
 
 def _require_sound_claims(columns: ColumnArrays, where: str) -> None:

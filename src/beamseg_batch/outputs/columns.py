@@ -82,6 +82,7 @@ def segment_columns(segments: Sequence[Segment], origin_ns: int) -> ColumnArrays
         "pca_coeff",
         "sigma_offset",
         "sigma_angle_deg",
+        "measured_radius",
         "sigma_radius",
     ):
         columns[name] = np.array([getattr(s, name) for s in segments], dtype=np.float64)
@@ -240,6 +241,7 @@ def segments_from_columns(
             first_seen_ns=origin_ns + round(float(columns["first_seen_s"][i]) * 1e9),
             last_seen_ns=origin_ns + round(float(columns["last_seen_s"][i]) * 1e9),
             covariance=covariances[i],
+            measured_radius=float(columns["measured_radius"][i]),
             sigma_radius=float(columns["sigma_radius"][i]),
             sigma_ends=sigma_ends[i],
             ends_seen=_both(columns["end_1_seen"][i], columns["end_2_seen"][i]),

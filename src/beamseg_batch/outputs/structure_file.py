@@ -70,6 +70,7 @@ ARRAYS = (
         "m, rad",
         "Of anchor and direction, which is only across the axis; NaN where it is not known",
     ),
+    Array("segment_measured_radius", ("S",), "float64", "m", "`measured_radius` of the table"),
     Array("segment_sigma_radius", ("S",), "float64", "m", "`sigma_radius` of the table"),
     Array("segment_sigma_ends", ("S", 2), "float64", "m", "`sigma_end_1` and `sigma_end_2`"),
     Array(
@@ -122,6 +123,7 @@ def structure_arrays(result: FlightResult) -> Arrays:
         "segment_t": [(s.t_min, s.t_max) for s in segments],
         "segment_radius": [s.radius for s in segments],
         "segment_covariance": [s.covariance for s in segments],
+        "segment_measured_radius": [s.measured_radius for s in segments],
         "segment_sigma_radius": [s.sigma_radius for s in segments],
         "segment_sigma_ends": [s.sigma_ends for s in segments],
         "segment_ends_seen": [s.ends_seen or unknown for s in segments],

@@ -31,15 +31,17 @@ def with_measured_ends(beams: Sequence[Beam], likelihood: FloatArray) -> list[Be
     Returns
     -------
     list of Beam
-        In the same order. An end that was drawn to another axis stays.
+        In the same order. An end that was drawn to another axis stays, and so does one
+        beyond which no ray tells anything: how far off that is, nobody knows.
     """
     return [_measured(beam, each) for beam, each in zip(beams, likelihood, strict=True)]
 
 
 def _measured(beam: Beam, likelihood: FloatArray) -> Beam:
     moves, sigmas = np.zeros(2), beam.sigma_ends.copy()
-    for which in range(2):
-        if not beam.snapped[which]:
+    for which, outermost in enumerate((0, -1)):
+        most = likelihood[which].max()
+        if not beam.snapped[which] and likelihood[which][outermost] < most + _DENIED:
             moves[which], sigmas[which] = _expected(likelihood[which])
     sigmas = np.hypot(sigmas, _LEAST_SIGMA_M)
     seen = (_is_denied(beam, -1), _is_denied(beam, 1))
