@@ -51,12 +51,33 @@ class PassRules:
 def refined(beams: Sequence[Beam], sums: Sums, noise: float, rules: PassRules) -> list[Beam]:
     """Make the next hypothesis of the evidence about the present one."""
     found: list[Beam] = []
+    refused: list[Beam] = []
     for index, beam in enumerate(beams):
-        found += _renewed(beam, index, sums, noise, rules)
-    if rules.drop:
-        found = [beam for beam in found if is_likely(beam)]
-    found = without_duplicates(found)
+        parts = _renewed(beam, index, sums, noise, rules)
+        likely = [part for part in parts if not rules.drop or is_likely(part)]
+        found += likely
+        refused += [] if likely else [beam]
+    found = without_duplicates(found + (_outdone(refused) if rules.drop else []))
     return snapped(found) if rules.snap else found
+
+
+def _outdone(refused: Sequence[Beam]) -> list[Beam]:
+    """Those that wait a pass, since weaker beams that go now explained the same rays.
+
+    Two beams for one, side by side, leave one another no evidence.
+    """
+    waiting: list[Beam] = []
+    ordered = sorted(refused, key=lambda beam: -beam.score)
+    for rank, beam in enumerate(ordered):
+        outdone = any(_side_by_side(beam, weaker) for weaker in ordered[rank + 1 :])
+        if outdone and is_likely(beam) and not any(_side_by_side(beam, one) for one in waiting):
+            waiting.append(beam)
+    return waiting
+
+
+def _side_by_side(one: Beam, other: Beam) -> bool:
+    offset, overlap = _apart(one, other)[:2]
+    return offset < one.radius + other.radius and overlap > 0.0
 
 
 def is_likely(beam: Beam) -> bool:
@@ -225,16 +246,19 @@ def without_duplicates(beams: Sequence[Beam]) -> list[Beam]:
 def _union(one: Beam, other: Beam) -> Beam | None:
     if abs(float(one.direction @ other.direction)) < np.cos(np.radians(1.5)):
         return None
-    offsets = []
-    places = []
-    for end in other.ends:
-        along = float((end - one.anchor) @ one.direction)
-        offsets.append(float(np.linalg.norm(end - one.at(along))))
-        places.append(along)
-    low, high = min(places), max(places)
-    overlap = min(high, one.last) - max(low, one.first)
-    same = max(offsets) < 0.012 and overlap > 0.5 * min(other.length, one.length)
-    touching = max(offsets) < 0.006 and overlap > -0.05
+    offset, overlap, low, high = _apart(one, other)
+    same = offset < 0.012 and overlap > 0.5 * min(other.length, one.length)
+    touching = offset < 0.006 and overlap > -0.05
     if not (same or touching):
         return None
     return one.between(min(low, one.first), max(high, one.last))
+
+
+def _apart(one: Beam, other: Beam) -> tuple[float, float, float, float]:
+    """Distance of the other's ends from an axis, overlap, and where the other lies along it."""
+    along = [float((end - one.anchor) @ one.direction) for end in other.ends]
+    offset = max(
+        float(np.linalg.norm(end - one.at(s))) for end, s in zip(other.ends, along, strict=True)
+    )
+    low, high = min(along), max(along)
+    return offset, min(high, one.last) - max(low, one.first), low, high
