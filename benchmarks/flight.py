@@ -20,17 +20,12 @@ from beamseg_batch.detection import Detector
 from beamseg_batch.model import STAGES, Scan
 from beamseg_batch.recording import open_flight, open_recording
 from beamseg_batch.structure import Structure
+from benchmarks.memory import peak_mb
 from benchmarks.timing import Measurement, in_turns
 
 __all__ = ["measure_command", "measure_reading", "measure_stages", "read_scans"]
 
 CONFIG = load_config("report")
-
-_PEAK_OF = """
-import resource, subprocess, sys
-subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL)
-print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
-"""
 
 
 def read_scans(path: Path) -> list[Scan]:
@@ -149,18 +144,7 @@ def measure_command(recordings: list[Path], *, repeats: int) -> Iterator[Measure
                 folder + "/out",
             ]
             yield Measurement("command", f"beamseg run {path.name}", _command_s(run, repeats), "s")
-            yield Measurement("memory", f"peak of beamseg run {path.name}", _peak_mb(run), "MB")
-
-
-def _peak_mb(arguments: list[str]) -> float:
-    """Peak resident memory of a command, asked of a process that started nothing else."""
-    done = subprocess.run(
-        [sys.executable, "-c", _PEAK_OF, sys.executable, "-m", "beamseg_batch", *arguments],
-        check=True,
-        capture_output=True,
-        text=True,
-    )
-    return int(done.stdout.split()[-1]) / 1024
+            yield Measurement("memory", f"peak of beamseg run {path.name}", peak_mb(run), "MB")
 
 
 def _command_s(arguments: list[str], repeats: int) -> float:

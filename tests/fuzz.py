@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from click.testing import CliRunner
+from click.testing import CliRunner, Result
 
 from beamseg_batch.cli.main import beamseg
 from beamseg_batch.recording.container_mcap import MCAP_MAGIC, McapFormat
@@ -141,6 +141,17 @@ def _watched() -> Iterator[None]:
         raise BrokenPromiseError(f"peak memory is {peak >> 20} MB")
 
 
+def invoke(folder: Path, kind: str, content: bytes, command: str) -> Result:
+    """Put a recording through a command."""
+    path = folder / f"flight.{kind.partition('-')[0]}"
+    path.write_bytes(content)
+    arguments = [command, str(path)]
+    if command == "run":
+        arguments += ["-o", str(folder / "out"), "--overwrite", "-q"]
+        arguments += ["--set", "outputs.report=false"]
+    return CliRunner().invoke(beamseg, arguments)
+
+
 def try_one(folder: Path, kind: str, content: bytes, seed: int, command: str) -> int:
     """Put one damaged recording through a command.
 
@@ -153,15 +164,10 @@ def try_one(folder: Path, kind: str, content: bytes, seed: int, command: str) ->
     ------
     BrokenPromiseError
     """
-    path = folder / f"flight.{kind.partition('-')[0]}"
-    path.write_bytes(mutated(content, seed))
-    arguments = [command, str(path)]
-    if command == "run":
-        arguments += ["-o", str(folder / "out"), "--overwrite", "-q"]
-        arguments += ["--set", "outputs.report=false"]
+    damaged = mutated(content, seed)
     try:
         with _watched():
-            result = CliRunner().invoke(beamseg, arguments)
+            result = invoke(folder, kind, damaged, command)
     except BrokenPromiseError as error:
         raise BrokenPromiseError(f"{kind}, seed {seed}, {command}: {error}") from error
     if result.exception is not None and not isinstance(result.exception, SystemExit):
@@ -181,6 +187,8 @@ def fuzz(folder: Path, command: str, count: int, seed: int) -> Counter[tuple[str
     """
     contents = {kind: sample(folder / f"whole-{kind}", kind).read_bytes() for kind in KINDS}
     codes: Counter[tuple[str, int]] = Counter()
+    # Whole, and not watched: kernels may have to be compiled.
+    invoke(folder, KINDS[0], contents[KINDS[0]], command)
     for number in range(count):
         kind = KINDS[number % len(KINDS)]
         code = try_one(folder, kind, contents[kind], seed * 1_000_003 + number, command)

@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from numpy.typing import ArrayLike
 from rosbags.rosbag1 import Writer as Bag1Writer
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
 
 from beamseg_batch.recording.codec import CDR, ROS1, default_typestore
@@ -271,7 +272,11 @@ def static_tf(
 
 
 def write_messages(
-    path: Path, kind: str, messages: Iterable[Message], topics: Sequence[tuple[str, str]] = ()
+    path: Path,
+    kind: str,
+    messages: Iterable[Message],
+    topics: Sequence[tuple[str, str]] = (),
+    compression: str = "",
 ) -> Path:
     """Write messages in order of log time.
 
@@ -284,6 +289,9 @@ def write_messages(
     messages : iterable of Message
     topics : sequence of (topic, msgtype)
         Further topics, which stay without messages.
+    compression : str
+        Of MCAP files that are none of a folder ``none``, ``lz4`` or ``zstd``; of other files
+        of ROS 2 ``file`` or ``message``, in both cases zstd.
 
     Returns
     -------
@@ -296,15 +304,31 @@ def write_messages(
     target = path / filename_of(kind)
     if kind.startswith("bag"):
         _write_bag1(target, kind, ordered, keys)
-    elif kind in ("mcap-ros1", "mcap-cdr"):
-        _write_mcap(target, kind, ordered, keys)
+    elif kind in ("mcap-ros1", "mcap-cdr") or (kind == "mcap" and compression):
+        _write_mcap(target, kind, ordered, keys, compression or "zstd")
     elif kind.startswith("ros2-"):
-        _write_bag2(target, "mcap" in kind, ordered, keys)
+        _write_bag2(target, "mcap" in kind, ordered, keys, compression)
     else:
-        _write_bag2(path / "folder", kind == "mcap", ordered, keys)
-        (path / "folder" / f"folder.{kind}").rename(target)
+        _write_bag2(path / "folder", kind == "mcap", ordered, keys, compression)
+        (written,) = (path / "folder").glob(f"folder.{kind}*")
+        target = written.rename(target.with_suffix("".join(written.suffixes)))
         shutil.rmtree(path / "folder")
     return target
+
+
+def _serialized(kind: str, entry: Message) -> bytes | memoryview:
+    """Bytes of a message, which may have been made before."""
+    if isinstance(entry.content, bytes):
+        return entry.content
+    store = STORES[encoding_of(kind)]
+    if encoding_of(kind) == ROS1:
+        return store.serialize_ros1(entry.content, entry.msgtype)
+    return store.serialize_cdr(entry.content, entry.msgtype)
+
+
+def serialized(kind: str, entry: Message) -> Message:
+    """Make the bytes of a message once, for several recordings of one encoding."""
+    return entry._replace(content=bytes(_serialized(kind, entry)))
 
 
 def _write_bag1(
@@ -316,39 +340,50 @@ def _write_bag1(
         writer.set_compression(Bag1Writer.CompressionFormat[kind.partition("-")[2].upper()])
     with writer:
         connections = {key: writer.add_connection(*key, typestore=store) for key in keys}
-        for topic, log_ns, msgtype, content in messages:
-            raw = store.serialize_ros1(content, msgtype)
-            writer.write(connections[topic, msgtype], log_ns, raw)
+        for entry in messages:
+            raw = _serialized(kind, entry)
+            writer.write(connections[entry.topic, entry.msgtype], entry.log_ns, raw)
 
 
 def _write_bag2(
-    path: Path, mcap: bool, messages: list[Message], keys: list[tuple[str, str]]
+    path: Path,
+    mcap: bool,
+    messages: list[Message],
+    keys: list[tuple[str, str]],
+    compression: str,
 ) -> None:
     store = STORES[CDR]
     plugin = StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3
-    with Bag2Writer(path, version=9, storage_plugin=plugin) as writer:
+    writer = Bag2Writer(path, version=9, storage_plugin=plugin)
+    if compression:
+        writer.set_compression(CompressionMode[compression.upper()], CompressionFormat.ZSTD)
+    with writer:
         connections = {key: writer.add_connection(*key, typestore=store) for key in keys}
-        for topic, log_ns, msgtype, content in messages:
-            raw = store.serialize_cdr(content, msgtype)
-            writer.write(connections[topic, msgtype], log_ns, raw)
+        for entry in messages:
+            raw = _serialized("ros2", entry)
+            writer.write(connections[entry.topic, entry.msgtype], entry.log_ns, raw)
 
 
 def _write_mcap(
-    path: Path, kind: str, messages: list[Message], keys: list[tuple[str, str]]
+    path: Path,
+    kind: str,
+    messages: list[Message],
+    keys: list[tuple[str, str]],
+    compression: str,
 ) -> None:
     encoding = encoding_of(kind)
     store, version = STORES[encoding], 1 if encoding == ROS1 else 2
-    serialize = store.serialize_ros1 if encoding == ROS1 else store.serialize_cdr
     with path.open("wb") as stream:
-        writer = McapWriter(stream)
-        writer.start(profile="ros1" if encoding == ROS1 else "")
+        writer = McapWriter(stream, compression=CompressionType[compression.upper()])
+        writer.start(profile={"mcap-ros1": "ros1", "mcap": "ros2"}.get(kind, ""))
         channels = {}
         for topic, msgtype in keys:
             text = store.generate_msgdef(msgtype, ros_version=version)[0].encode()
             name = msgtype.replace("/msg/", "/") if encoding == ROS1 else msgtype
             schema = writer.register_schema(name, f"ros{version}msg", text)
             channels[topic, msgtype] = writer.register_channel(topic, encoding, schema)
-        for topic, log_ns, msgtype, content in messages:
-            raw = bytes(serialize(content, msgtype))
-            writer.add_message(channels[topic, msgtype], log_ns, raw, log_ns)
+        for entry in messages:
+            raw = bytes(_serialized(kind, entry))
+            channel = channels[entry.topic, entry.msgtype]
+            writer.add_message(channel, entry.log_ns, raw, entry.log_ns)
         writer.finish()

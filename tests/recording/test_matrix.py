@@ -1,245 +1,132 @@
-"""The same simulated flight in every format, with every kind of poses and clouds."""
+"""The same simulated flight in every form, with every kind of poses and layout of clouds."""
 
 from __future__ import annotations
 
 from functools import cache
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from beamseg_batch.config import RunConfig
 from beamseg_batch.detection import Detector
-from beamseg_batch.geometry import RigidTransform, matrix_from_quaternion
-from beamseg_batch.model import Scan, Trajectory
+from beamseg_batch.geometry import RigidTransform
+from beamseg_batch.model import Scan
 from beamseg_batch.recording import open_flight, open_recording
-from beamseg_batch.simulation.scans import ScanSimulator
-from beamseg_batch.simulation.sensor import load_sensor
-from beamseg_batch.simulation.trajectory import Orbit, TruePath
+from beamseg_batch.recording.matching import pose_at
 from beamseg_batch.structure import Structure
-from beamseg_batch.world.scene import Member, Scene, Section
-from tests.recordings import (
-    KINDS,
-    START_NS,
-    Message,
-    cloud_message,
-    encoding_of,
-    message,
-    pose_message,
-    static_tf,
-    write_messages,
+from tests.recording.forms import (
+    FILES,
+    FORMS,
+    N_SCANS,
+    SIZE,
+    layouts_of,
+    poses_of,
+    simulated,
+    topic_of,
+    true_trajectory,
+    write_form,
+    write_pose_files,
 )
-
-SECTION = Section("round", 0.1, 0.1)
-BEAMS = (
-    Member("rail", np.array([0.0, -0.8, 1.2]), np.array([0.0, 0.8, 1.2]), SECTION),
-    Member("post", np.array([0.0, 0.2, 0.4]), np.array([0.0, 0.2, 2.0]), SECTION),
-)
-N_SCANS, SIZE = 3, 32
-QUATERNION_OPTICAL = (-0.5, 0.5, -0.5, 0.5)
-"""``T_body_sensor`` of an optical frame that looks along the body's x axis."""
-POINT_FIELD = "sensor_msgs/msg/PointField"
-CLOUD = "sensor_msgs/msg/PointCloud2"
-TF = "tf2_msgs/msg/TFMessage"
-
-
-@cache
-def simulated() -> tuple[list[tuple[int, Any]], list[tuple[int, Any, Any]]]:
-    """Clouds, float32, and poses of a drone that flies past two beams."""
-    settings = [f"camera.{key}={SIZE}" for key in ("width", "height")]
-    settings += ["camera.horizontal_fov=1.3", "camera.rate_hz=2", "camera.noise=0.004"]
-    sensor = load_sensor("webots_range_finder", settings)
-    path = TruePath(Orbit(centre=(0, 0, 1.2), radius=1.0, turns=0.2, speed=0.4), seed=3)
-    scans = ScanSimulator(Scene("cross", BEAMS), path, sensor, N_SCANS * 0.5)
-    stamps = [START_NS + round(time * 1e9) for time in scans.times]
-    clouds = [
-        (stamp, scan.points.astype(np.float32).reshape(SIZE, SIZE, 3))
-        for stamp, scan in zip(stamps, scans.scans(), strict=True)
-    ]
-    positions, quaternions = path.poses(np.array(scans.times))
-    return clouds, [
-        (stamp, position, quaternion)
-        for stamp, position, quaternion in zip(stamps, positions, quaternions, strict=True)
-    ]
-
-
-def plain(kind, stamp, points):
-    return cloud_message(kind, stamp, points)
-
-
-def packed(names, dtypes, offsets, step, *, order="<", row_padding=0, frame="tof"):
-    """Make a writer of clouds with fields of some types at some places."""
-
-    def write(kind, stamp, points):
-        layout = np.dtype(
-            {
-                "names": names,
-                "formats": [np.dtype(d).newbyteorder(order) for d in dtypes],
-                "offsets": offsets,
-                "itemsize": step,
-            }
-        )
-        rows = np.zeros(points.shape[:2], dtype=layout)
-        for axis, values in zip("xyz", np.moveaxis(points, -1, 0), strict=True):
-            rows[axis] = values
-        codes = {"f4": 7, "f8": 8, "u2": 4}
-        fields = [
-            message(kind, POINT_FIELD, name=name, offset=offset, datatype=codes[dtype], count=1)
-            for name, dtype, offset in zip(names, dtypes, offsets, strict=True)
-        ]
-        data = b"".join(row.tobytes() + bytes(row_padding) for row in rows)
-        return cloud_message(
-            kind,
-            stamp,
-            points,
-            frame,
-            fields=fields,
-            point_step=step,
-            row_step=step * points.shape[1] + row_padding,
-            is_bigendian=order == ">",
-            data=np.frombuffer(data, np.uint8),
-        )
-
-    return write
-
-
-def optical(kind, stamp, points):
-    turned = np.stack([-points[..., 1], -points[..., 2], points[..., 0]], axis=-1)
-    return cloud_message(kind, stamp, turned, "tof_optical_frame")
-
-
-def flat(kind, stamp, points):
-    return cloud_message(kind, stamp, points.reshape(-1, 3))
-
-
-LAYOUTS = {
-    "plain": plain,
-    "flat": flat,
-    "double": packed(["x", "y", "z"], ["f8"] * 3, [0, 8, 16], 24),
-    "big-endian": packed(["x", "y", "z"], ["f4"] * 3, [0, 4, 8], 12, order=">"),
-    "padded": packed(["x", "y", "z"], ["f4"] * 3, [4, 8, 12], 32, row_padding=16),
-    "mixed": packed(
-        ["intensity", "z", "y", "x"], ["u2", "f4", "f8", "f4"], [0, 2, 6, 14], 19, row_padding=5
-    ),
-    "optical": optical,
-}
-
-
-def single(msgtype):
-    def write(kind, poses):
-        return [
-            Message("/pose", stamp, msgtype, pose_message(kind, msgtype, stamp, *pose))
-            for stamp, *pose in poses
-        ]
-
-    return write
-
-
-def chain(kind, poses):
-    """map -> odom moves, odom -> base_link moves, base_link -> tof is static."""
-    messages = []
-    for k, (stamp, position, quaternion) in enumerate(poses):
-        shift = np.array([0.3 * k, -0.2, 0.1])
-        for parent, child, place, turn in (
-            ("map", "odom", shift, (0, 0, 0, 1)),
-            ("odom", "base_link", position - shift, quaternion),
-        ):
-            content = pose_message(kind, TF, stamp, place, turn, parent, child)
-            messages.append(Message("/tf", stamp, TF, content))
-    return messages
-
-
-POSES = {
-    "pose": single("geometry_msgs/msg/PoseStamped"),
-    "covariance": single("geometry_msgs/msg/PoseWithCovarianceStamped"),
-    "transform": single("geometry_msgs/msg/TransformStamped"),
-    "odometry": single("nav_msgs/msg/Odometry"),
-    "tf": single(TF),
-    "tf-chain": chain,
-    "file": lambda kind, poses: [],
-}
 
 MATRIX = [
-    *((kind, "pose", layout) for kind in KINDS for layout in LAYOUTS),
-    *((kind, pose, "plain") for kind in KINDS for pose in POSES if pose != "pose"),
-    *(("mcap", pose, layout) for pose in POSES for layout in ("mixed", "optical")),
+    (form, layout, pose) for form in FORMS for layout in layouts_of(form) for pose in poses_of(form)
 ]
-
-
-def segments_of(scans):
-    config = RunConfig()
-    detect, structure = Detector(config), Structure(config)
-    for scan in scans:
-        structure.update(detect(scan))
-    return structure.segments()
-
-
-def recorded(path: Path, kind: str, pose: str, layout: str) -> Any:
-    clouds, poses = simulated()
-    frame = "tof_optical_frame" if layout == "optical" else "tof"
-    turn = QUATERNION_OPTICAL if layout == "optical" else (0, 0, 0, 1)
-    messages = [
-        Message("/tof_pc", stamp, CLOUD, LAYOUTS[layout](kind, stamp, points))
-        for stamp, points in clouds
-    ]
-    messages += POSES[pose](kind, poses)
-    messages += static_tf(kind, START_NS, [("base_link", frame, (0, 0, 0), turn)])
-    values = {}
-    if pose == "file":
-        path.mkdir()
-        lines = [f"{s},{','.join(map(repr, map(float, [*p, *q])))}" for s, p, q in poses]
-        (path / "poses.csv").write_text("\n".join(["stamp_ns,x,y,z,qx,qy,qz,qw", *lines]))
-        values["pose_file"] = str(path / "poses.csv")
-    recording = open_recording(write_messages(path, kind, messages))
-    return open_flight(recording, RunConfig.model_validate({"recording": values}))
+IDS = [f"{form.name}-{layout}-{pose}" for form, layout, pose in MATRIX]
+IN_FLOAT32 = {"depth-image", "px4-odometry", "px4-position"}
+"""Where numbers are computed that pass through float32 once more than those simulated."""
 
 
 @pytest.fixture(scope="module")
-def expected():
-    """Segments of the scans as they were simulated, without any recording."""
-    clouds, poses = simulated()
-    trajectory = Trajectory(
-        np.array([stamp for stamp, *_ in poses]),
-        np.array([position for _, position, _ in poses]),
-        np.array([quaternion for *_, quaternion in poses]),
-    )
-    scans = [
+def written(tmp_path_factory):
+    """The recording of a form and layout, and the files of poses, each written once."""
+    folder = tmp_path_factory.mktemp("forms")
+    files = write_pose_files(folder)
+
+    @cache
+    def recorded(form, layout):
+        return open_recording(write_form(folder / f"{form.name}-{layout}", form, layout))
+
+    return recorded, files
+
+
+@cache
+def simulated_scans():
+    """Scans as they were simulated, without any recording."""
+    trajectory = true_trajectory()
+    return [
         Scan(
             index=k,
             stamp_ns=stamp,
             pose_stamp_ns=stamp,
-            T_world_body=RigidTransform(
-                matrix_from_quaternion(trajectory.quaternions_xyzw[k]), trajectory.positions[k]
-            ),
+            T_world_body=pose_at(trajectory, k),
             T_body_sensor=RigidTransform.identity(),
             points=points.reshape(-1, 3),
             width=SIZE,
             height=SIZE,
         )
-        for k, (stamp, points) in enumerate(clouds)
+        for k, (stamp, points) in enumerate(simulated()[0])
     ]
-    segments = segments_of(scans)
-    assert len(segments) >= 2
-    return segments
 
 
-@pytest.mark.parametrize(
-    ("kind", "pose", "layout"), MATRIX, ids=["-".join(case) for case in MATRIX]
-)
-def test_flight__is_the_same_in_every_form(tmp_path, expected, kind, pose, layout):
-    flight = recorded(tmp_path / "r", kind, pose, layout)
-    scans = list(flight.scans())
-    assert [scan.index for scan in scans] == list(range(N_SCANS))
-    segments = segments_of(scans)
-    assert len(segments) == len(expected)
-    for found, true in zip(segments, expected, strict=True):
-        np.testing.assert_allclose(found.anchor, true.anchor, atol=1e-9)
-        np.testing.assert_allclose(found.direction, true.direction, atol=1e-9)
-        assert found.t_min == pytest.approx(true.t_min, abs=1e-9)
-        assert found.t_max == pytest.approx(true.t_max, abs=1e-9)
-        assert found.n_points == true.n_points
+@pytest.fixture(scope="module")
+def segments_of():
+    """Segments that scans show; of scans that are the same, bit by bit, found once."""
+    known = {}
+
+    def found(scans):
+        key = tuple(map(_bits, scans))
+        if key not in known:
+            detect, structure = Detector(RunConfig()), Structure(RunConfig())
+            for scan in scans:
+                structure.update(detect(scan))
+            known[key] = structure.segments()
+        return known[key]
+
+    return found
 
 
-def test_matrix__has_both_encodings():
-    assert {encoding_of(kind) for kind, *_ in MATRIX} == {"ros1", "cdr"}
+def _bits(scan):
+    """All that a scan's segments are made of."""
+    poses = [scan.T_world_body, scan.T_body_sensor]
+    arrays = [scan.points, *(array for T in poses for array in (T.rotation, T.translation))]
+    sizes = (scan.width, scan.height, scan.points.dtype)
+    return (*sizes, *(np.ascontiguousarray(array).tobytes() for array in arrays))
+
+
+@pytest.mark.parametrize(("form", "layout", "pose"), MATRIX, ids=IDS)
+def test_segments__are_the_same_in_every_form(written, segments_of, form, layout, pose):
+    recorded, files = written
+    choice = {"pose_file": files[pose]} if pose in FILES else {"pose_topic": topic_of(pose)}
+    flight = open_flight(recorded(form, layout), RunConfig.model_validate({"recording": choice}))
+    scans, true_scans = list(flight.scans()), simulated_scans()
+    atol = 1e-6 if {layout, pose} & IN_FLOAT32 else 1e-9
+    assert len(scans) == N_SCANS
+    for scan, true in zip(scans, true_scans, strict=True):
+        assert (scan.index, scan.stamp_ns) == (true.index, true.stamp_ns)
+        _assert_points(scan.T_world_sensor, scan.points, true, atol)
+    _assert_segments(segments_of(scans), segments_of(true_scans), atol)
+
+
+def _assert_points(T_world_sensor, points, true, atol):
+    returned = np.isfinite(true.points).all(axis=1)
+    assert np.array_equal(np.isfinite(points).all(axis=1), returned)
+    world = T_world_sensor.apply(points[returned].astype(np.float64))
+    expected = true.T_world_sensor.apply(true.points[returned].astype(np.float64))
+    assert np.abs(world - expected).max() <= atol
+
+
+def _assert_segments(found, expected, atol):
+    assert len(found) == len(expected) >= 2
+    for segment, true in zip(found, expected, strict=True):
+        assert np.abs(_numbers(segment) - _numbers(true)).max() <= atol
+        assert segment.n_points == true.n_points
+
+
+def _numbers(segment):
+    ends = [segment.t_min, segment.t_max, segment.radius]
+    return np.concatenate([segment.anchor, segment.direction, ends])
+
+
+def test_matrix__is_the_whole_product():
+    """Three bags and three MCAP files of ROS 1, fourteen files of ROS 2, six of Foxglove."""
+    assert len(set(IDS)) == len(MATRIX) == 6 * 9 * 9 + 14 * 9 * 10 + 6 * 5 * 7

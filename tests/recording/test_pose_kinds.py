@@ -6,52 +6,26 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from rosbags.typesys import get_types_from_msg
 
+from beamseg_batch.config import RunConfig
 from beamseg_batch.errors import AmbiguousTopicError, PoseFileError, RecordingError
 from beamseg_batch.geometry import matrix_from_quaternion
 from beamseg_batch.model import Scan, SkippedScan
-from beamseg_batch.recording.clocks import stamp_jumps
+from beamseg_batch.recording import inspect_recording
+from beamseg_batch.recording.clocks import StampWatch, clock_groups, stamp_jumps
 from beamseg_batch.recording.pose_files import read_pose_file
 from beamseg_batch.recording.poses import _EXTRACTORS
 from beamseg_batch.recording.px4 import px4_values
 from tests.recording.conftest import MS, configured, some_clouds, some_poses
-from tests.recordings import CDR, START_NS, STORES, Message, message, pose_message
-
-ODOMETRY, POSITION, ATTITUDE = (
-    f"px4_msgs/msg/Vehicle{name}" for name in ("Odometry", "LocalPosition", "Attitude")
-)
-PX4_TYPES = {
-    ODOMETRY: "uint64 timestamp\nuint64 timestamp_sample\nuint8 pose_frame\n"
-    "float32[3] position\nfloat32[4] q\n",
-    POSITION: "uint64 timestamp\nuint64 timestamp_sample\nbool xy_valid\nbool z_valid\n"
-    "float32 x\nfloat32 y\nfloat32 z\nfloat32 heading\n",
-    ATTITUDE: "uint64 timestamp\nuint64 timestamp_sample\nfloat32[4] q\n",
-}
-"""The fields that matter of PX4's messages, as version 1.14 has them."""
-for name, text in PX4_TYPES.items():
-    STORES[CDR].register(get_types_from_msg(text, name))
-
-NED_ENU = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
-FRD_FLU = np.diag([1.0, -1.0, -1.0])
-FRAMES = {"ned": (1, NED_ENU), "frd": (2, FRD_FLU)}
+from tests.recording.px4 import ATTITUDE, FRAMES, LOCAL_POSITION, ODOMETRY, px4_poses
+from tests.recordings import START_NS, Message, cloud_message, pose_message
 
 
-def px4_of(position, quaternion_xyzw, world):
-    """Position and quaternion w, x, y, z of FRD in a PX4 world, from FLU in a ROS world."""
-    matrix = world.T @ matrix_from_quaternion(np.array(quaternion_xyzw)) @ FRD_FLU
-    w = 0.5 * np.sqrt(max(1.0 + np.trace(matrix), 0.0))
-    if w < 1e-3:
-        raise AssertionError("half a turn: choose other poses")
-    x, y, z = (
-        matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]
-    )  # fmt: skip
-    return world.T @ np.array(position), np.array([w, x / (4 * w), y / (4 * w), z / (4 * w)])
-
-
-def px4_message(msgtype, stamp_ns, **content):
-    content = message("mcap", msgtype, timestamp_sample=stamp_ns // 1000, **content)
-    return Message(f"/fmu/out/{msgtype[13:].lower()}", stamp_ns, msgtype, content)
+def px4_messages(msgtype, poses, frame="ned"):
+    topic = f"/fmu/out/{msgtype[13:].lower()}"
+    return [
+        Message(topic, stamp, msgtype, entry) for stamp, entry in px4_poses(msgtype, poses, frame)
+    ]
 
 
 def assert_trajectory(trajectory, poses, atol=1e-6):
@@ -64,34 +38,14 @@ def assert_trajectory(trajectory, poses, atol=1e-6):
 
 @pytest.mark.parametrize("frame", FRAMES)
 def test_open_flight__px4_odometry(fly, frame):
-    code, world = FRAMES[frame]
-    more = []
-    for stamp, position, quaternion in some_poses():
-        place, wxyz = px4_of(position, quaternion, world)
-        content = {"pose_frame": code, "position": place, "q": wxyz}
-        more.append(px4_message(ODOMETRY, stamp, **_floats(content)))
-    flight = fly(poses=[], more=more)
+    flight = fly(poses=[], more=px4_messages(ODOMETRY, some_poses(), frame))
     assert flight.poses.topic.msgtype == ODOMETRY
     assert_trajectory(flight.trajectory, some_poses())
 
 
-def _floats(content):
-    arrays = {k: v.astype(np.float32) for k, v in content.items() if isinstance(v, np.ndarray)}
-    return {**content, **arrays}
-
-
 def positions(poses, attitudes: bool):
-    more = []
-    for stamp, position, quaternion in poses:
-        place, wxyz = px4_of(position, quaternion, NED_ENU)
-        forward = NED_ENU.T @ matrix_from_quaternion(np.array(quaternion))[:, 0]
-        values = dict(zip("xyz", map(float, place), strict=True))
-        heading = float(np.arctan2(forward[1], forward[0]))
-        valid = {"xy_valid": True, "z_valid": True}
-        more.append(px4_message(POSITION, stamp, heading=heading, **values, **valid))
-        if attitudes:
-            more.append(px4_message(ATTITUDE, stamp, **_floats({"q": wxyz})))
-    return more
+    more = px4_messages(LOCAL_POSITION, poses)
+    return more + px4_messages(ATTITUDE, poses) if attitudes else more
 
 
 @pytest.mark.parametrize("attitudes", [True, False])
@@ -113,7 +67,7 @@ def test_open_flight__px4_attitude_tilts_local_positions(fly):
 
 def test_open_flight__px4_positions_that_do_not_hold_are_refused(fly):
     more = positions(some_poses(), True)
-    for entry in more[:6:2]:
+    for entry in more[:3]:
         entry.content.xy_valid = False
     flight = fly(poses=[], more=more)
     assert len(flight.trajectory) == 37
@@ -267,6 +221,93 @@ def test_open_flight__clock_that_is_reset_is_said(fly, by_ns):
     assert f"their stamps jump by {-by_ns * 1e-9:+.3f} s 0.2 s after the first;" in note
     by_log = fly(configured(recording={"time_source": "log"}), poses=[], more=more)
     assert not any("was reset" in note for note in by_log.notes)
+
+
+POSE, TF = "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage"
+RESET_NS = 3 * 10**9
+
+
+def reset_flight(fly, config=None, *, poses_by=0, clouds_by=0, msgtype=POSE, late_clouds=()):
+    """Six seconds along x at 1 m/s; after three, clocks are set back, so that stamps repeat."""
+    more = []
+    for k in range(600):
+        log_ns = k * 10 * MS
+        stamp_ns = log_ns - poses_by * (log_ns >= RESET_NS)
+        pose = ((log_ns * 1e-9, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+        content = pose_message("mcap", msgtype, START_NS + stamp_ns, *pose)
+        more.append(Message("/p", START_NS + log_ns, msgtype, content))
+    for k in range(60):
+        log_ns = k * 100 * MS
+        stamp_ns = log_ns - clouds_by * (log_ns >= RESET_NS)
+        log_ns += 1500 * MS * (k in late_clouds)
+        content = cloud_message("mcap", START_NS + stamp_ns, some_clouds()[0][1])
+        more.append(Message("/c", START_NS + log_ns, "sensor_msgs/msg/PointCloud2", content))
+    static = [("base_link", "tof", (0, 0, 0), (0, 0, 0, 1))]
+    return fly(config, clouds=[], poses=[], more=more, tf_static=static)
+
+
+def told(flight):
+    """Of each cloud where the drone is said to be, or why it is skipped."""
+    return [
+        scan.T_world_body.translation[0] if isinstance(scan, Scan) else scan.reason
+        for scan in flight.scans()
+    ]
+
+
+@pytest.mark.parametrize("msgtype", [POSE, TF])
+@pytest.mark.parametrize("every", [1, 2])
+def test_scans__both_clocks_set_back(fly, msgtype, every):
+    config = configured(recording={"every": every})
+    flight = reset_flight(fly, config, poses_by=2 * 10**9, clouds_by=2 * 10**9, msgtype=msgtype)
+    for _ in range(2):
+        np.testing.assert_allclose(told(flight), np.arange(0, 60, every) * 0.1)
+    summary = inspect_recording(flight.recording, config)
+    assert (summary.match.share_within_gap, summary.match.max_dt_s) == (1.0, 0.0)
+
+
+def test_scans__clock_of_the_clouds_alone_set_back(fly):
+    flight = reset_flight(fly, clouds_by=2 * 10**9)
+    np.testing.assert_allclose(told(flight)[:30], np.arange(30) * 0.1)
+    assert told(flight)[30:] == ["clock_reset"] * 30
+    *_, last = flight.scans()
+    assert (
+        "cloud at 5.900 s: a clock was reset, and stood as that of no pose; see --time-source log"
+        in last.detail
+    )
+    by_log = reset_flight(fly, configured(recording={"time_source": "log"}), clouds_by=2 * 10**9)
+    np.testing.assert_allclose(told(by_log), np.arange(60) * 0.1)
+    assert inspect_recording(flight.recording, RunConfig()).match.share_within_gap == 0.5
+
+
+def test_scans__clock_of_the_poses_alone_set_back(fly):
+    """Poses stamped 3 s were logged at 5 s; the clouds stamped 3 s were seen elsewhere."""
+    found = told(reset_flight(fly, poses_by=2 * 10**9))
+    np.testing.assert_allclose(found[:31], [*np.arange(30) * 0.1, 2.99])
+    assert set(found[31:]) == {"no_pose_within_gap"}
+
+
+def test_scans__a_cloud_that_is_late_is_no_reset(fly):
+    found = told(reset_flight(fly, late_clouds=(10, 40)))
+    np.testing.assert_allclose(sorted(found), np.arange(60) * 0.1)
+
+
+def test_clock_groups__disorder_is_one_group():
+    stamps = np.random.default_rng(0).permutation(300) * 10**9
+    ((_, members),) = clock_groups(stamps, np.arange(300) * 10**9)
+    assert len(members) == 300
+
+
+def test_stamp_watch__sees_what_stamp_jumps_finds():
+    rng = np.random.default_rng(1)
+    logged = np.arange(400) * 10**8
+    stamps = logged + rng.integers(-2, 2, 400) * 4 * 10**8
+    stamps[100:200] -= 5 * 10**9
+    stamps[300:] += 9 * 10**9
+    watch = StampWatch()
+    seen = [watch.sees_jump(*each) for each in zip(stamps.tolist(), logged.tolist(), strict=True)]
+    found = [round(when_s, 3) for when_s, _ in stamp_jumps(stamps, logged)]
+    assert found == np.round(logged[seen] * 1e-9, 3).tolist()
+    assert len(found) >= 2
 
 
 def test_stamp_jumps__gaps_and_disorder_are_none():

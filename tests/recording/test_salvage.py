@@ -7,7 +7,7 @@ import shutil
 import sqlite3
 import struct
 import zlib
-from contextlib import suppress
+from contextlib import closing, suppress
 
 import numpy as np
 import pytest
@@ -17,13 +17,13 @@ from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as Bag1Writer
 
 from beamseg_batch.cli.main import beamseg
-from beamseg_batch.config import RecordingConfig
+from beamseg_batch.config import RecordingConfig, RunConfig
 from beamseg_batch.errors import RecordingError
-from beamseg_batch.recording import open_recording
+from beamseg_batch.recording import inspect_recording, open_recording
 from beamseg_batch.recording.codec import CDR, ROS1
 from tests.fuzz import sample
 from tests.recording.conftest import some_clouds, some_poses
-from tests.recordings import START_NS, STORES, message, write_recording
+from tests.recordings import START_NS, STORES, message, pose_message, write_recording
 
 STRICT = RecordingConfig(strict=True)
 STRING = "std_msgs/msg/String"
@@ -327,6 +327,45 @@ def test_open_recording__unreadable_part_of_several_costs_no_other(tmp_path):
         "the file is empty (0 bytes)",
     )
     assert path.exists()
+
+
+def test_open_recording__views_in_place_of_tables_are_refused(tmp_path):
+    """This one would give rows without end."""
+    path = tmp_path / "flight.db3"
+    with closing(sqlite3.connect(path)) as database:
+        database.executescript(
+            "CREATE TABLE topics(id, name, type, serialization_format);"
+            "CREATE VIEW messages AS WITH RECURSIVE r(id) AS (SELECT 1 UNION ALL SELECT id + 1 "
+            "FROM r) SELECT id, 1 AS topic_id, id AS timestamp, x'00' AS data FROM r;"
+        )
+    with pytest.raises(RecordingError, match="no such table: messages"):
+        open_recording(path)
+
+
+def test_open_recording__zstd_file_of_which_nothing_is_left(tmp_path):
+    path = tmp_path / "flight.db3.zstd"
+    path.write_bytes(b"\x28\xb5\x2f\xfd" + bytes(range(256)))
+    with pytest.raises(RecordingError, match=r"flight\.db3\.zstd: a zstd file of which nothing"):
+        open_recording(path)
+
+
+@pytest.mark.parametrize("chunked", [True, False])
+def test_open_flight__log_times_beyond_all_clocks(tmp_path, chunked):
+    """MCAP has room for times that arrays of signed numbers have not."""
+    store, msgtype = STORES[CDR], "geometry_msgs/msg/PoseStamped"
+    path = tmp_path / "flight.mcap"
+    with path.open("wb") as stream:
+        writer = McapWriter(stream, use_chunking=chunked)
+        writer.start(profile="ros2")
+        text = store.generate_msgdef(msgtype, ros_version=2)[0].encode()
+        schema = writer.register_schema(msgtype, "ros2msg", text)
+        channel = writer.register_channel("/p", CDR, schema)
+        for stamp in (START_NS, 2**64 - 1):
+            content = pose_message("mcap", msgtype, START_NS, (1, 2, 3), (0, 0, 0, 1))
+            writer.add_message(channel, stamp, bytes(store.serialize_cdr(content, msgtype)), stamp)
+        writer.finish()
+    summary = inspect_recording(open_recording(path), RunConfig())
+    assert summary.poses.count == 1
 
 
 # --- what the commands make of it ---------------------------------------------------------

@@ -2,6 +2,6 @@
 
 from beamseg_batch.detection.detector import Detector
 from beamseg_batch.detection.hough import HoughLine, iterative_hough
-from beamseg_batch.detection.noise import DEFAULT_NOISE, depth_noise
+from beamseg_batch.noise import DEFAULT_NOISE, depth_noise
 
 __all__ = ["DEFAULT_NOISE", "Detector", "HoughLine", "depth_noise", "iterative_hough"]

@@ -12,10 +12,10 @@ from beamseg_batch.config import RunConfig
 from beamseg_batch.detection.axis import Returns, fit_segment_axis
 from beamseg_batch.detection.filtering import crop_scan, voxel_grid
 from beamseg_batch.detection.hough import iterative_hough
-from beamseg_batch.detection.noise import DEFAULT_NOISE
 from beamseg_batch.detection.screening import Rejection, screen
 from beamseg_batch.geometry import FloatArray, RigidTransform, distances_to_line, line_parameters
 from beamseg_batch.model import DepthNoise, Detections, Scan, Segment
+from beamseg_batch.noise import DEFAULT_NOISE
 
 __all__ = ["Detector"]
 

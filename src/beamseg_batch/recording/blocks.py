@@ -24,6 +24,7 @@ from beamseg_batch.recording.container import (
     DamageLog,
     RawMessage,
     ReadLimits,
+    Span,
     readable,
 )
 from beamseg_batch.recording.decompression import (
@@ -265,7 +266,7 @@ class BlockFile(ABC):
             sum(block.full_size for block in self._map.blocks),
         )
 
-    def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
+    def messages(self, topics: Collection[str], span: Span) -> Iterator[RawMessage]:
         """Stream the messages of some topics in order of log time.
 
         Where blocks overlap by more than 64 MB of messages, those are in file order.
@@ -273,6 +274,8 @@ class BlockFile(ABC):
         Parameters
         ----------
         topics : collection of str
+        span : Span
+            Blocks outside of it are not read.
 
         Yields
         ------
@@ -285,9 +288,16 @@ class BlockFile(ABC):
         """
         wanted = {key: info for key, info in self._map.channels.items() if info.topic in topics}
         with readable(self.path), self.path.open("rb") as stream:
-            for log_time_ns, key, data in self._in_time_order(stream, frozenset(wanted)):
+            for log_time_ns, key, data in self._in_time_order(stream, frozenset(wanted), span):
                 info = wanted[key]
                 yield RawMessage(info.topic, log_time_ns, info.msgtype, data)
+
+    def n_left_out(self, topic: str, msgtype: str, span: Span) -> int:
+        """Count the messages of a topic and type in the blocks before a span."""
+        channels = self._map.channels.items()
+        keys = [key for key, info in channels if (info.topic, info.msgtype) == (topic, msgtype)]
+        before = [b.counts for b in self._map.blocks if b.counts and b.last_ns < span.first_ns]
+        return sum(counts[key] for counts in before for key in keys)
 
     def _note(self, offset: int, problem: str, messages: int | None, size: int | None) -> None:
         self._damage.add(Damage(self.path, offset, problem, messages, size))
@@ -323,9 +333,17 @@ class BlockFile(ABC):
         if lost:
             self._note(0, "the record that tells the topic of some messages is lost", lost, None)
 
-    def _in_time_order(self, stream: BinaryIO, wanted: frozenset[int]) -> Iterator[Message]:
+    def _in_time_order(
+        self, stream: BinaryIO, wanted: frozenset[int], span: Span
+    ) -> Iterator[Message]:
         """Merge the messages of all blocks; few blocks overlap, so few messages are held."""
-        blocks = [b for b in self._map.blocks if not wanted.isdisjoint(b.counts or ())]
+        blocks = [
+            block
+            for block in self._map.blocks
+            if not wanted.isdisjoint(block.counts or ())
+            and block.last_ns >= span.first_ns
+            and block.first_ns <= span.last_ns
+        ]
         blocks.sort(key=lambda block: block.first_ns)
         held: list[Message] = []
         size = 0

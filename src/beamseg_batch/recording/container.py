@@ -19,6 +19,7 @@ __all__ = [
     "DamageLog",
     "RawMessage",
     "ReadLimits",
+    "Span",
     "readable",
     "told",
 ]
@@ -41,6 +42,19 @@ class RawMessage(NamedTuple):
     log_time_ns: int
     msgtype: str
     data: bytes
+
+
+class Span(NamedTuple):
+    """A range of log times; what lies outside of it need not be read.
+
+    Attributes
+    ----------
+    first_ns, last_ns : int
+        Both belong to it.
+    """
+
+    first_ns: int = -(2**63)
+    last_ns: int = 2**63 - 1
 
 
 @dataclass(frozen=True)
@@ -221,8 +235,14 @@ class Container(Protocol):
     def index(self) -> ContainerIndex:
         """List the topics and the time span."""
 
-    def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
-        """Stream the messages of some topics in order of log time."""
+    def messages(self, topics: Collection[str], span: Span) -> Iterator[RawMessage]:
+        """Stream the messages of some topics in order of log time.
+
+        Those outside of the span are left out where that saves reading them.
+        """
+
+    def n_left_out(self, topic: str, msgtype: str, span: Span) -> int:
+        """Count the messages of a topic and type that `messages` leaves out before a span."""
 
 
 @contextmanager

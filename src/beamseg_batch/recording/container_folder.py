@@ -14,6 +14,7 @@ from beamseg_batch.recording.container import (
     DamageLog,
     RawMessage,
     ReadLimits,
+    Span,
 )
 from beamseg_batch.recording.merging import Part, in_time_order, readable_parts
 
@@ -67,11 +68,15 @@ class FolderContainer:
             sum(index.content_bytes for index in indexes),
         )
 
-    def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
+    def messages(self, topics: Collection[str], span: Span) -> Iterator[RawMessage]:
         """Stream the messages of some topics in order of log time."""
         return in_time_order(
-            [(index.start_ns, partial(c.messages, topics)) for c, index in self._parts]
+            [(index.start_ns, partial(c.messages, topics, span)) for c, index in self._parts]
         )
+
+    def n_left_out(self, topic: str, msgtype: str, span: Span) -> int:
+        """Count the messages of a topic and type that are left out before a span."""
+        return sum(c.n_left_out(topic, msgtype, span) for c, _ in self._parts)
 
 
 def listed_files(folder: Path, there: Sequence[Path], damage: DamageLog) -> list[Path]:

@@ -30,6 +30,8 @@ _LAST_OP, _FIRST_PRIVATE_OP = 0x0F, 0x80
 _LENGTHS = {_FOOTER: (20, 20), _DATA_END: (4, 4), _MESSAGE: (22, 2**63), _CHUNK: (40, 2**63)}
 """Least and largest length of records where the format fixes them."""
 _RECORD_START = re.compile(rb"[\x03-\x07\x0F](?=.{4}\0{4})", re.DOTALL)
+_LAST_NS = 2**63 - 1
+"""Latest time that arrays of stamps hold; a damaged file may claim more."""
 _HEAD_BYTES = 9
 _CHUNK_HEAD_BYTES = 80
 _LANGUAGES = {
@@ -120,6 +122,7 @@ class McapFormat:
                 break
             if op == _MESSAGE and end - body >= _MESSAGE_HEAD.size:
                 key, _, log_time_ns, _ = head(buffer, body)
+                log_time_ns = min(log_time_ns, _LAST_NS)
                 found.saw(key, log_time_ns)
                 if key in found.wanted:
                     found.messages.append((log_time_ns, key, buffer[body + 22 : end]))
@@ -158,7 +161,7 @@ class McapFile(BlockFile):
                 self._map.blocks.append(_chunk(record, source))
             elif record.op == _MESSAGE:
                 key, _, log_time_ns, _ = _MESSAGE_HEAD.unpack(source.at(record.body, 22))
-                self._map.add_to_run(record, key, log_time_ns)
+                self._map.add_to_run(record, key, min(log_time_ns, _LAST_NS))
             elif record.op == _MESSAGE_INDEX:
                 self._add_index(record, source)
             elif record.op in (_SCHEMA, _CHANNEL):

@@ -7,7 +7,7 @@ import sqlite3
 import tempfile
 from collections import Counter
 from collections.abc import Collection, Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from beamseg_batch.recording.container import (
     DamageLog,
     RawMessage,
     ReadLimits,
+    Span,
     readable,
 )
 
@@ -32,6 +33,7 @@ _LANGUAGES = {"ros2msg": "msg", "ros2idl": "idl"}
 _SIDECARS = ("-wal", "-journal")
 _LARGEST_SKIP = 1 << 16
 _SELECT = "SELECT id, topic_id, timestamp, data FROM messages"
+_IN_SPAN = "timestamp BETWEEN ? AND ?"
 
 
 class SqliteFile:
@@ -87,12 +89,14 @@ class SqliteFile:
         )
         return ContainerIndex(channels, first, last, self.path.stat().st_size)
 
-    def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
+    def messages(self, topics: Collection[str], span: Span) -> Iterator[RawMessage]:
         """Stream the messages of some topics in order of log time; of a damaged file in file order.
 
         Parameters
         ----------
         topics : collection of str
+        span : Span
+            Of a damaged file, all messages are read all the same.
 
         Yields
         ------
@@ -105,11 +109,24 @@ class SqliteFile:
         """
         wanted = {key: c for key, c in self._channels.items() if c.topic in topics}
         with self._opened() as database:
-            rows = self._salvaged(database) if self._damaged else self._rows(database, wanted)
+            damaged = self._damaged
+            rows = self._salvaged(database) if damaged else self._rows(database, wanted, span)
             for _, key, log_time_ns, data in rows:
                 channel = wanted.get(key)
                 if channel is not None:
                     yield RawMessage(channel.topic, log_time_ns, channel.msgtype, data)
+
+    def n_left_out(self, topic: str, msgtype: str, span: Span) -> int:
+        """Count the messages of a topic and type before a span; none of a damaged file."""
+        keys = [k for k, c in self._channels.items() if (c.topic, c.msgtype) == (topic, msgtype)]
+        places = ",".join("?" * len(keys))
+        query = f"SELECT COUNT(*) FROM messages WHERE topic_id IN ({places}) AND timestamp < ?"
+        with self._opened() as database:
+            if not self._damaged:
+                with suppress(sqlite3.DatabaseError):
+                    (count,) = database.execute(query, (*keys, span.first_ns)).fetchone()
+                    return int(count)
+        return 0
 
     @contextmanager
     def _opened(self) -> Iterator[sqlite3.Connection]:
@@ -118,13 +135,14 @@ class SqliteFile:
         What a recorder that was killed left beside the file belongs to it: SQLite takes
         it in, but into the file itself, so that this is done in a copy.
         """
-        with readable(self.path), tempfile.TemporaryDirectory(prefix="beamseg-") as folder:
-            path = self.path
-            sidecars = [path.with_name(path.name + ending) for ending in _SIDECARS]
+        path = self.path
+        sidecars = [path.with_name(path.name + ending) for ending in _SIDECARS]
+        with readable(self.path), ExitStack() as stack:
             sidecars = [file for file in sidecars if file.exists() and file.stat().st_size]
-            for file in (path, *sidecars) if sidecars else ():
-                shutil.copy(file, folder)
             if sidecars:
+                folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="beamseg-"))
+                for file in (path, *sidecars):
+                    shutil.copy(file, folder)
                 path = Path(folder, path.name)
             mode = "mode=rwc" if sidecars else "mode=ro&immutable=1"
             uri = f"{path.absolute().as_uri()}?{mode}"
@@ -136,6 +154,7 @@ class SqliteFile:
 
     def _read_channels(self, database: sqlite3.Connection) -> dict[int, Channel]:
         try:
+            _check_tables(database)
             topics = database.execute("SELECT id, name, type, serialization_format FROM topics")
             rows = topics.fetchall()
         except sqlite3.DatabaseError as error:
@@ -150,13 +169,15 @@ class SqliteFile:
             channels[key] = Channel(str(name), ros2_name(str(msgtype)), definition, 0)
         return channels
 
-    def _rows(self, database: sqlite3.Connection, wanted: Collection[int]) -> Iterator[Any]:
+    def _rows(
+        self, database: sqlite3.Connection, wanted: Collection[int], span: Span
+    ) -> Iterator[Any]:
         """Rows by time; from the first that cannot be read on, whatever else can be read."""
         places = ",".join("?" * len(wanted))
-        query = f"{_SELECT} WHERE topic_id IN ({places}) ORDER BY timestamp"
+        query = f"{_SELECT} WHERE topic_id IN ({places}) AND {_IN_SPAN} ORDER BY timestamp"
         given: set[int] = set()
         try:
-            for row in database.execute(query, tuple(wanted)):
+            for row in database.execute(query, (*wanted, *span)):
                 _check_order(row[0] not in given)
                 given.add(row[0])
                 if _is_sound(row):
@@ -199,6 +220,14 @@ class SqliteFile:
     def _note(self, error: Exception) -> None:
         problem = f"some messages cannot be read ({error})"
         self._damage.add(Damage(self.path, None, problem))
+
+
+def _check_tables(database: sqlite3.Connection) -> None:
+    """Refuse views in place of tables: they could compute rows without end."""
+    kinds = dict(database.execute("SELECT name, type FROM sqlite_master").fetchall())
+    for name in ("topics", "messages"):
+        if kinds.get(name) != "table":
+            raise sqlite3.DatabaseError(f"no such table: {name}")
 
 
 def _definitions(database: sqlite3.Connection) -> dict[str, tuple[str, str]]:

@@ -18,6 +18,7 @@ from beamseg_batch.recording.container import (
     DamageLog,
     RawMessage,
     ReadLimits,
+    Span,
     readable,
 )
 from beamseg_batch.recording.decompression import CorruptChunkError, decompressed, read_range
@@ -49,6 +50,7 @@ class ZstdFile:
         self._open_file = open_file
         self._damage = DamageLog(limits.strict)
         self._inside: Container | None = None
+        self._copy = path
 
     @property
     def damage(self) -> tuple[Damage, ...]:
@@ -69,10 +71,15 @@ class ZstdFile:
         with self._as_this_file() as inside:
             return inside.index()
 
-    def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
+    def messages(self, topics: Collection[str], span: Span) -> Iterator[RawMessage]:
         """Stream the messages of some topics, as the file inside does."""
         with self._as_this_file() as inside:
-            yield from inside.messages(topics)
+            yield from inside.messages(topics, span)
+
+    def n_left_out(self, topic: str, msgtype: str, span: Span) -> int:
+        """Count the messages that are left out before a span, as the file inside does."""
+        with self._as_this_file() as inside:
+            return inside.n_left_out(topic, msgtype, span)
 
     @contextmanager
     def _as_this_file(self) -> Iterator[Container]:
@@ -81,11 +88,12 @@ class ZstdFile:
             folder = Path(tempfile.mkdtemp(prefix="beamseg-"))
             finalize(self, shutil.rmtree, folder, ignore_errors=True)
             with readable(self.path):
-                self._inside = self._open_file(self._unpacked(folder), self._limits)
+                self._copy = self._unpacked(folder)
         try:
+            self._inside = self._inside or self._open_file(self._copy, self._limits)
             yield self._inside
         except RecordingError as error:
-            text = str(error).replace(str(self._inside.path), str(self.path))
+            text = str(error).replace(str(self._copy), str(self.path))
             raise RecordingError(text) from error
 
     def _unpacked(self, folder: Path) -> Path:
@@ -102,6 +110,10 @@ class ZstdFile:
                     raise RecordingError(
                         f"{self.path}: needs more than the {room >> 20} MB that are free in "
                         f"{folder.parent} when decompressed; name another place in TMPDIR"
+                    ) from error
+                if not written:
+                    raise RecordingError(
+                        f"{self.path}: a zstd file of which nothing can be decompressed: {error}"
                     ) from error
                 self._damage.add(Damage(self.path, None, str(error)))
         return target

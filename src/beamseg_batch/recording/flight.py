@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import chain, islice
 from pathlib import Path
 from time import perf_counter
@@ -21,13 +21,15 @@ from beamseg_batch.recording.axes import (
     AheadCounts,
     choose_axis,
 )
-from beamseg_batch.recording.chains import find_chain
-from beamseg_batch.recording.clocks import duration_text
+from beamseg_batch.recording.chains import Chain, find_chain
+from beamseg_batch.recording.clocks import StampWatch, duration_text
 from beamseg_batch.recording.cloud_reader import CloudReader
+from beamseg_batch.recording.cloud_stamps import cloud_stamp_ns, read_cloud_stamps
 from beamseg_batch.recording.clouds import Cloud, CloudHeader
 from beamseg_batch.recording.codec import UndecodableMessageError
 from beamseg_batch.recording.containers import RawMessage
 from beamseg_batch.recording.depth import IMAGE
+from beamseg_batch.recording.epochs import PoseClocks, PoseEpoch, joined, nearest_epoch
 from beamseg_batch.recording.frames import (
     Extrinsic,
     FrameRoles,
@@ -38,7 +40,7 @@ from beamseg_batch.recording.frames import (
     read_static_tree,
     tree_of,
 )
-from beamseg_batch.recording.matching import match_pose, seconds_to_ns, within_int64
+from beamseg_batch.recording.matching import match_pose, nearest_gaps
 from beamseg_batch.recording.pose_arrays import resampled
 from beamseg_batch.recording.pose_files import read_pose_file
 from beamseg_batch.recording.poses import Edge, EdgeKind, read_edges, read_tracks
@@ -51,13 +53,15 @@ __all__ = [
     "Flight",
     "FlightPoses",
     "choose_poses",
-    "cloud_stamp_ns",
     "open_flight",
     "read_poses",
 ]
 
 _SAMPLED_CLOUDS = 64
 """Most clouds looked at to tell which axis looks ahead."""
+_POSE_MARGIN_NS, _NEAR_POSE_NS = 10_000_000_000, 1_000_000_000
+"""Log time around the selected clouds in which their poses are looked for, and the farthest that
+the first cloud may be from its pose for them to be there."""
 _FAR_APART_S = 60.0
 """How much longer than the recording the time from clouds to poses is when clocks differ."""
 
@@ -75,6 +79,8 @@ class Flight:
     clouds, poses : TopicChoice
     trajectory : Trajectory
         All poses of the recording.
+    epochs : tuple of PoseEpoch
+        The same by the state of their clock.
     roles : FrameRoles
     extrinsic : Extrinsic
     axis : AheadAxis
@@ -88,6 +94,7 @@ class Flight:
     clouds: TopicChoice
     poses: TopicChoice
     trajectory: Trajectory
+    epochs: tuple[PoseEpoch, ...]
     roles: FrameRoles
     extrinsic: Extrinsic
     axis: AheadAxis
@@ -102,6 +109,11 @@ class Flight:
     def n_clouds(self) -> int:
         """Number of clouds that `scans` goes through, usable or not."""
         return self.selection.count(self.recording, self.clouds.topic)
+
+    @cached_property
+    def _clocks(self) -> PoseClocks:
+        read_clouds = partial(read_cloud_stamps, self.recording, self.clouds.topic, self.config)
+        return PoseClocks(self.epochs, read_clouds)
 
     @cached_property
     def info(self) -> RecordingInfo:
@@ -148,7 +160,7 @@ class Flight:
         ------
         Scan or SkippedScan
             Skipped with the reason ``undecodable_message``, ``bad_cloud``,
-            ``empty_cloud`` or ``no_pose_within_gap``.
+            ``empty_cloud``, ``clock_reset`` or ``no_pose_within_gap``.
 
         Raises
         ------
@@ -158,13 +170,14 @@ class Flight:
         start = perf_counter()
         topic = self.clouds.topic
         reader = CloudReader(self.recording, topic, self.config.sensor, self.axis.is_z)
-        for index, raw in self.selection.pick(self.recording.topic_messages(topic)):
+        watch = StampWatch()
+        for index, raw in self.selection.messages(self.recording, topic):
             # The clock stands while the caller works on a scan.
-            yield self._scan(index, raw, reader, start)
+            yield self._scan(index, raw, reader, watch, start)
             start = perf_counter()
 
     def _scan(
-        self, index: int, raw: RawMessage, reader: CloudReader, start: float
+        self, index: int, raw: RawMessage, reader: CloudReader, watch: StampWatch, start: float
     ) -> Scan | SkippedScan:
         try:
             cloud = reader.read(raw)
@@ -175,7 +188,12 @@ class Flight:
             return self._skipped(index, raw, stamp_ns, "bad_cloud", cloud.problem)
         if len(cloud.points) == 0:
             return self._skipped(index, raw, stamp_ns, "empty_cloud", "it has no points")
-        match = match_pose(self.trajectory, stamp_ns, self.config.matching)
+        jumped = watch.sees_jump(stamp_ns, raw.log_time_ns)
+        poses = self._clocks.poses_of(index, jumped)
+        if poses is None:
+            detail = "a clock was reset, and stood as that of no pose; see --time-source log"
+            return self._skipped(index, raw, stamp_ns, "clock_reset", detail)
+        match = match_pose(poses, stamp_ns, self.config.matching)
         if match.T_world_body is None:
             detail = self._gap_detail(match.gap_ns)
             return self._skipped(index, raw, stamp_ns, "no_pose_within_gap", detail)
@@ -236,7 +254,7 @@ def open_flight(recording: Recording, config: RunConfig) -> Flight:
     reader = CloudReader(recording, clouds.topic, config.sensor)
     sample = _Sample(recording, clouds.topic, reader)
     tree = read_static_tree(recording)
-    poses = read_poses(recording, choice, tree, sample.header.frame, config)
+    poses = _read_poses_nearby(recording, choice, clouds.topic, tree, sample, config)
     roles = find_roles(poses.edge, sample.header.frame, poses.tree, config.recording)
     extrinsic = find_extrinsic(config.sensor, poses.tree, roles)
     axis = _ahead(sample, config, roles, poses)
@@ -252,6 +270,7 @@ def open_flight(recording: Recording, config: RunConfig) -> Flight:
         clouds,
         choice,
         poses.trajectory,
+        poses.epochs,
         roles,
         extrinsic,
         axis,
@@ -341,16 +360,48 @@ class FlightPoses:
     ----------
     edge : Edge
         Frame and child frame of the poses; empty where nothing names them.
-    trajectory : Trajectory
+    epochs : tuple of PoseEpoch
+        By the state of their clock, at least one.
     tree : TransformTree
         Static transforms, those included that a moving topic repeats without change.
     notes : list of str
     """
 
     edge: Edge
-    trajectory: Trajectory
+    epochs: tuple[PoseEpoch, ...]
     tree: TransformTree
     notes: list[str]
+
+    @cached_property
+    def trajectory(self) -> Trajectory:
+        """All poses in order of their stamps."""
+        return joined(self.epochs)
+
+
+def _read_poses_nearby(
+    recording: Recording,
+    choice: TopicChoice,
+    clouds: TopicInfo,
+    tree: TransformTree,
+    sample: _Sample,
+    config: RunConfig,
+) -> FlightPoses:
+    """Read the poses around the selected clouds, or all where these do not reach the clouds.
+
+    Of a transform tree all are needed: what does not move may have been told once.
+    """
+    frame, selection = sample.header.frame, Selection.of(config.recording, recording)
+    if selection.is_timed and choice.topic.msgtype not in TF_TYPES:
+        first = config.model_copy(
+            update={"recording": config.recording.model_copy(update={"max_scans": 1})}
+        )
+        stamps = read_cloud_stamps(recording, clouds, first).used_ns
+        with suppress(RecordingError):
+            near = recording.within(selection.span(_POSE_MARGIN_NS))
+            poses = read_poses(near, choice, tree, frame, config)
+            if len(stamps) and nearest_gaps(poses.trajectory.stamps_ns, stamps)[0] < _NEAR_POSE_NS:
+                return poses
+    return read_poses(recording, choice, tree, frame, config)
 
 
 def read_poses(
@@ -383,14 +434,15 @@ def read_poses(
     if config.recording.pose_file is not None:
         track = read_pose_file(Path(config.recording.pose_file))
         trajectory, notes = track.trajectory()
-        poses = FlightPoses(track.edge, trajectory, tree, notes)
+        poses = FlightPoses(track.edge, (PoseEpoch(trajectory, None),), tree, notes)
     elif topic.msgtype in TF_TYPES:
         poses = _poses_of_tree(recording, topic, tree, sensor, config)
     else:
         poses = _poses_of_topic(recording, topic, tree, config)
-    if len(poses.trajectory) == 0:
+    usable = tuple(epoch for epoch in poses.epochs if len(epoch.trajectory))
+    if not usable:
         raise RecordingError(f"{where}: no usable pose; {' '.join(poses.notes)}")
-    return poses
+    return replace(poses, epochs=usable)
 
 
 def _poses_of_topic(
@@ -402,30 +454,36 @@ def _poses_of_topic(
     if not tracks:
         raise RecordingError(f"{where}: no pose could be read; {' '.join(notes)}")
     edge = choose_track_edge(tracks.keys(), config.recording, where)
-    trajectory, track_notes = tracks[edge].trajectory()
-    if topic.msgtype == LOCAL_POSITION and len(trajectory):
-        trajectory, attitude_notes = _with_attitude(recording, topic, trajectory, from_log)
+    epochs, track_notes = tracks[edge].epochs()
+    if topic.msgtype == LOCAL_POSITION:
+        epochs, attitude_notes = _with_attitude(recording, topic, epochs, from_log)
         track_notes += attitude_notes
-    return FlightPoses(edge, trajectory, tree, notes + track_notes)
+    return FlightPoses(edge, tuple(epochs), tree, notes + track_notes)
 
 
 def _with_attitude(
-    recording: Recording, topic: TopicInfo, trajectory: Trajectory, from_log: bool
-) -> tuple[Trajectory, list[str]]:
+    recording: Recording, topic: TopicInfo, epochs: list[PoseEpoch], from_log: bool
+) -> tuple[list[PoseEpoch], list[str]]:
     """Give positions that know their heading alone the attitudes of another topic."""
     there = [other for other in recording.topics if other.msgtype == ATTITUDE and other.count]
     tracks = read_tracks(recording, there[0], from_log=from_log)[0] if there else {}
     for track in tracks.values():
-        attitudes = track.trajectory()[0]
-        if len(attitudes):
-            turned = resampled(attitudes, trajectory.stamps_ns)
-            kept = np.isin(trajectory.stamps_ns, turned.stamps_ns)
+        attitudes, _ = track.epochs()
+        if len(joined(attitudes)):
             note = f"the attitudes are those of {there[0].name}"
-            return replace(turned, positions=trajectory.positions[kept]), [note]
-    return trajectory, [
+            return [_turned(e, nearest_epoch(attitudes, e.ahead_s)) for e in epochs], [note]
+    return epochs, [
         f"{topic.name} holds the heading alone: the drone is taken to be level, which displaces "
         "beams when it tilts; record px4_msgs/VehicleOdometry or VehicleAttitude with it"
     ]
+
+
+def _turned(epoch: PoseEpoch, attitudes: PoseEpoch) -> PoseEpoch:
+    """Give positions other attitudes, as far as these are known at their stamps."""
+    trajectory = epoch.trajectory
+    turned = resampled(attitudes.trajectory, trajectory.stamps_ns)
+    kept = np.isin(trajectory.stamps_ns, turned.stamps_ns)
+    return replace(epoch, trajectory=replace(turned, positions=trajectory.positions[kept]))
 
 
 def _poses_of_tree(
@@ -439,10 +497,10 @@ def _poses_of_tree(
     grown = tree_of(fixed).grown(tree)
     from_log = config.recording.time_source == "log"
     tracks, notes = read_tracks(recording, topic, found.moving, from_log=from_log)
-    trajectories = {}
+    by_edge: dict[Edge, list[PoseEpoch]] = {}
     for edge, track in tracks.items():
-        trajectories[edge], track_notes = track.trajectory()
-        if len(trajectories[edge]) == 0:
+        by_edge[edge], track_notes = track.epochs()
+        if len(joined(by_edge[edge])) == 0:
             raise RecordingError(
                 f"{where}: no usable pose of {edge[1]!r} in {edge[0]!r}; {' '.join(track_notes)}"
             )
@@ -450,7 +508,23 @@ def _poses_of_tree(
     if len(found.edges) > 1:
         path = " -> ".join(dict.fromkeys(frame for edge in found.edges for frame in edge))
         notes.append(f"the poses are the product of the transforms {path}")
-    return FlightPoses((found.world, found.body), found.follow(trajectories, grown), grown, notes)
+    epochs = _followed(found, by_edge, grown)
+    return FlightPoses((found.world, found.body), epochs, grown, notes)
+
+
+def _followed(
+    found: Chain, by_edge: dict[Edge, list[PoseEpoch]], tree: TransformTree
+) -> tuple[PoseEpoch, ...]:
+    """Multiply the transforms along a chain, in every state that their clock was in."""
+    states = [epoch.ahead_s for epoch in max(by_edge.values(), key=len)]
+    tracks = [
+        {edge: nearest_epoch(epochs, state).trajectory for edge, epochs in by_edge.items()}
+        for state in states
+    ]
+    return tuple(
+        PoseEpoch(found.follow(track, tree), state)
+        for track, state in zip(tracks, states, strict=True)
+    )
 
 
 def _moving_edges(recording: Recording, topic: TopicInfo) -> dict[Edge, EdgeKind]:
@@ -458,25 +532,6 @@ def _moving_edges(recording: Recording, topic: TopicInfo) -> dict[Edge, EdgeKind
     if not edges:
         raise RecordingError(f"{recording.name}: {topic.name}: no transform could be read")
     return edges
-
-
-def cloud_stamp_ns(stamp_ns: int, log_time_ns: int, config: RunConfig) -> int:
-    """Stamp of a cloud, of its header or of the log, plus the offset.
-
-    Parameters
-    ----------
-    stamp_ns : int
-        Of the header; the log time stands in for it when that is zero.
-    log_time_ns : int
-    config : RunConfig
-        Whose ``recording.time_source`` chooses and ``recording.time_offset_s`` is added.
-
-    Returns
-    -------
-    int, nanoseconds
-    """
-    chosen = log_time_ns if config.recording.time_source == "log" else stamp_ns or log_time_ns
-    return within_int64(chosen + seconds_to_ns(config.recording.time_offset_s))
 
 
 def _cloud_notes(sample: _Sample, config: RunConfig) -> list[str]:

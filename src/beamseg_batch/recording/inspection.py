@@ -17,26 +17,20 @@ from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import Trajectory
 from beamseg_batch.recording.clocks import clock_notes
 from beamseg_batch.recording.cloud_reader import CloudReader
+from beamseg_batch.recording.cloud_stamps import CloudStamps, read_cloud_stamps
 from beamseg_batch.recording.clouds import FIELD_TYPES, Cloud, read_header
 from beamseg_batch.recording.codec import UndecodableMessageError
+from beamseg_batch.recording.epochs import PoseClocks
 from beamseg_batch.recording.flight import (
     Flight,
     choose_poses,
-    cloud_stamp_ns,
     open_flight,
     read_poses,
 )
 from beamseg_batch.recording.frames import read_static_tree
 from beamseg_batch.recording.matching import nearest_gaps, seconds_to_ns
 from beamseg_batch.recording.other_clouds import packed_cloud
-from beamseg_batch.recording.selection import Selection
 from beamseg_batch.recording.source import Recording, TopicInfo
-from beamseg_batch.recording.templates import (
-    HEADER_BYTES,
-    HEADER_FIRST,
-    header_stamp_ns,
-    is_templated,
-)
 from beamseg_batch.recording.topics import CLOUDS, TopicChoice, choose_topic
 
 __all__ = [
@@ -53,6 +47,8 @@ __all__ = [
 ]
 
 T = TypeVar("T")
+
+_NO_POSE_NS = 2**63 - 1
 
 
 @dataclass(frozen=True)
@@ -272,12 +268,12 @@ def inspect_recording(recording: Recording, config: RunConfig) -> RecordingSumma
     clouds = _attempt(problems, choose_topic, recording, CLOUDS, config.recording.cloud_topic)
     poses = _attempt(problems, choose_poses, recording, config)
     flight = _attempt(problems, open_flight, recording, config) if clouds and poses else None
-    cloud_stamps = _cloud_stamps(recording, clouds.topic, config) if clouds else None
+    cloud_stamps = read_cloud_stamps(recording, clouds.topic, config) if clouds else None
     trajectory = flight.trajectory if flight else None
     if poses and not clouds:
         trajectory = _attempt(problems, _trajectory, recording, poses, config)
     used_ns = None if cloud_stamps is None else cloud_stamps.used_ns
-    match = _match_summary(used_ns, trajectory, config)
+    match = _match_summary(cloud_stamps, flight, config)
     if match is not None and match.share_within_gap == 0.0:
         problems.append(
             f"{recording.name}: no cloud has a pose within {match.max_gap_s:.3f} s; the median "
@@ -366,35 +362,6 @@ def _rpy_deg(rotation: FloatArray) -> tuple[float, float, float]:
     return degrees[0], degrees[1], degrees[2]
 
 
-@dataclass(frozen=True, eq=False)
-class _CloudStamps:
-    """Stamps of the selected clouds in order of the file, and of the headers before any choice."""
-
-    used_ns: NDArray[np.int64]
-    headers_ns: list[int]
-    log_times_ns: list[int]
-
-
-def _cloud_stamps(recording: Recording, topic: TopicInfo, config: RunConfig) -> _CloudStamps:
-    """Read the stamps of the selected clouds: out of the bytes where their place is known."""
-    used: list[int] = []
-    headers: list[int] = []
-    logged: list[int] = []
-    is_known = topic.msgtype in HEADER_FIRST
-    encoding = recording.encoding_of(topic.msgtype)
-    selection = Selection.of(config.recording, recording)
-    for _, raw in selection.pick(recording.topic_messages(topic)):
-        with suppress(UndecodableMessageError):
-            if is_known and is_templated(raw.data, encoding) and len(raw.data) >= HEADER_BYTES:
-                stamp_ns = header_stamp_ns(raw.data)
-            else:
-                stamp_ns = recording.read(raw, read_header).stamp_ns
-            headers.append(stamp_ns)
-            logged.append(raw.log_time_ns)
-            used.append(cloud_stamp_ns(stamp_ns, raw.log_time_ns, config))
-    return _CloudStamps(np.array(used, dtype=np.int64), headers, logged)
-
-
 def _stamp_summary(stamps_ns: NDArray[np.int64]) -> StampSummary:
     steps = np.diff(stamps_ns)
     if len(steps) == 0:
@@ -409,19 +376,32 @@ def _stamp_summary(stamps_ns: NDArray[np.int64]) -> StampSummary:
 
 
 def _match_summary(
-    cloud_stamps: NDArray[np.int64] | None, trajectory: Trajectory | None, config: RunConfig
+    clouds: CloudStamps | None, flight: Flight | None, config: RunConfig
 ) -> MatchSummary | None:
-    if cloud_stamps is None or trajectory is None or len(cloud_stamps) == 0:
+    if clouds is None or flight is None or len(clouds.used_ns) == 0:
         return None
-    poses = trajectory.stamps_ns
-    gaps_ns = nearest_gaps(poses, cloud_stamps)
+    gaps_ns = _pose_gaps(clouds, flight)
+    matched = gaps_ns[gaps_ns < _NO_POSE_NS]
+    if len(matched) == 0:
+        matched = nearest_gaps(flight.trajectory.stamps_ns, clouds.used_ns)
     max_gap_s = config.matching.max_gap_s
     return MatchSummary(
         share_within_gap=float(np.mean(gaps_ns <= seconds_to_ns(max_gap_s))),
         max_gap_s=max_gap_s,
-        median_dt_s=float(np.median(gaps_ns)) * 1e-9,
-        max_dt_s=float(np.max(gaps_ns)) * 1e-9,
+        median_dt_s=float(np.median(matched)) * 1e-9,
+        max_dt_s=float(np.max(matched)) * 1e-9,
     )
+
+
+def _pose_gaps(clouds: CloudStamps, flight: Flight) -> NDArray[np.int64]:
+    """Time from each cloud to the nearest pose that it may be matched with."""
+    clocks = PoseClocks(flight.epochs, lambda: clouds)
+    chosen = [clocks.poses_of(index, True) for index in clouds.indices.tolist()]
+    gaps_ns = np.full(len(chosen), _NO_POSE_NS)
+    for epoch in flight.epochs:
+        own = np.array([poses is epoch.trajectory for poses in chosen])
+        gaps_ns[own] = nearest_gaps(epoch.trajectory.stamps_ns, clouds.used_ns[own])
+    return gaps_ns
 
 
 def _first_cloud(recording: Recording, topic: TopicInfo, config: RunConfig) -> CloudLayout | None:

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import Trajectory
-from beamseg_batch.recording.clocks import clock_notes
+from beamseg_batch.recording.clocks import clock_groups, clock_notes
 from beamseg_batch.recording.clouds import read_header, stamp_ns_of
 from beamseg_batch.recording.codec import UndecodableMessageError
 from beamseg_batch.recording.containers import RawMessage
+from beamseg_batch.recording.epochs import PoseEpoch, joined
 from beamseg_batch.recording.matching import within_int64
 from beamseg_batch.recording.px4 import ATTITUDE, LOCAL_POSITION, ODOMETRY, px4_values, sample_ns
 from beamseg_batch.recording.source import Recording, TopicInfo
@@ -36,6 +37,8 @@ __all__ = [
 ]
 
 _SHORTEST_QUATERNION = 1e-9
+_FARTHEST_M = 1e8
+"""Farther from the origin of any frame on earth no drone is; less than the numbers can hold."""
 
 _BATCH = 4096  # messages whose bytes are in memory at once
 
@@ -224,34 +227,41 @@ class PoseTrack:
         self.log_times_ns.frombytes(logged.tobytes())
         self.values.frombytes(values.tobytes())
 
-    def trajectory(self) -> tuple[Trajectory, list[str]]:
-        """Poses that can be used, in order of their stamps.
+    def epochs(self) -> tuple[list[PoseEpoch], list[str]]:
+        """Poses that can be used, in order of their stamps, by the state of their clock.
 
         Returns
         -------
-        Trajectory
-            Quaternions made unit; of poses with the same stamp the first in the file.
+        list of PoseEpoch
+            One, unless the clock was set anew. Quaternions made unit; of poses with the same
+            stamp the first in the file.
         list of str
             Notes on what was refused, dropped or replaced.
         """
         stamps = np.array(self.stamps_ns, dtype=np.int64)
         values = np.array(self.values, dtype=np.float64).reshape(-1, 7)
         usable = usable_poses(values)
-        stamps, values = stamps[usable], values[usable]
-        # np.unique gives the first of equal stamps, since it sorts stably for this.
-        unique, first = np.unique(stamps, return_index=True)
-        values = values[first]
-        lengths = np.linalg.norm(values[:, 3:], axis=1, keepdims=True)
-        trajectory = Trajectory(unique, values[:, :3].copy(), values[:, 3:] / lengths)
-        notes = self._notes(len(usable), len(stamps), len(unique))
-        return trajectory, notes + clock_notes("poses", self.stamps_ns, self.log_times_ns)
+        groups = clock_groups(self.stamps_ns, self.log_times_ns)
+        every = [usable] if len(groups) == 1 else [part[usable[part]] for _, part in groups]
+        parts = [_trajectory(stamps[kept], values[kept]) for kept in every]
+        notes = self._notes(len(usable), int(usable.sum()), sum(map(len, parts)))
+        notes += clock_notes("poses", self.stamps_ns, self.log_times_ns)
+        epochs = [
+            PoseEpoch(p, state) for (state, _), p in zip(groups, parts, strict=True) if len(p)
+        ]
+        return epochs or [PoseEpoch(parts[0], None)], notes
+
+    def trajectory(self) -> tuple[Trajectory, list[str]]:
+        """Poses of all `epochs` in order of their stamps, and the same notes."""
+        epochs, notes = self.epochs()
+        return joined(epochs), notes
 
     def _notes(self, n_read: int, n_usable: int, n_unique: int) -> list[str]:
         notes = []
         if n_usable < n_read:
             notes.append(
-                f"{n_read - n_usable} of {n_read} poses refused: a value that is not finite, "
-                "or a quaternion of length zero"
+                f"{n_read - n_usable} of {n_read} poses refused: a value that is not finite or "
+                "beyond 100,000 km, or a quaternion of length zero"
             )
         if n_unique < n_usable:
             notes.append(
@@ -264,8 +274,16 @@ class PoseTrack:
         return notes
 
 
+def _trajectory(stamps_ns: NDArray[np.int64], values: FloatArray) -> Trajectory:
+    # np.unique gives the first of equal stamps, since it sorts stably for this.
+    unique, first = np.unique(stamps_ns, return_index=True)
+    values = values[first]
+    lengths = np.linalg.norm(values[:, 3:], axis=1, keepdims=True)
+    return Trajectory(unique, values[:, :3].copy(), values[:, 3:] / lengths)
+
+
 def usable_poses(values: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which poses are finite and have a quaternion with a length.
+    """Which poses are finite, on earth, and have a quaternion with a length.
 
     Parameters
     ----------
@@ -279,8 +297,9 @@ def usable_poses(values: NDArray[np.float64]) -> NDArray[np.bool_]:
     # A length that overflows is infinite, hence refused; so is one that is NaN.
     with np.errstate(over="ignore", invalid="ignore"):
         lengths = np.linalg.norm(values[:, 3:], axis=1)
-    finite = np.asarray(np.isfinite(values).all(axis=1))
-    usable: NDArray[np.bool_] = finite & np.isfinite(lengths) & (lengths > _SHORTEST_QUATERNION)
+        near = np.asarray((np.abs(values[:, :3]) <= _FARTHEST_M).all(axis=1))
+    finite = np.asarray(np.isfinite(values).all(axis=1)) & np.isfinite(lengths)
+    usable: NDArray[np.bool_] = finite & near & (lengths > _SHORTEST_QUATERNION)
     return usable
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from beamseg_batch.config import RecordingConfig
+from beamseg_batch.recording.container import Span
 from beamseg_batch.recording.containers import RawMessage
 from beamseg_batch.recording.matching import seconds_to_ns
 from beamseg_batch.recording.source import Recording, TopicInfo
@@ -51,13 +52,40 @@ class Selection:
         """Whether the range of time has a bound."""
         return self.start_ns is not None or self.stop_ns is not None
 
-    def pick(self, messages: Iterator[RawMessage]) -> Iterator[tuple[int, RawMessage]]:
-        """Pick the messages that are used.
+    def span(self, margin_ns: int = _MOST_DISORDER_NS) -> Span:
+        """Range of log time in which what is used is found, and a margin on both sides."""
+        first_ns, last_ns = Span()
+        if self.start_ns is not None:
+            first_ns = self.start_ns - margin_ns
+        return Span(first_ns, last_ns if self.stop_ns is None else self.stop_ns + margin_ns)
+
+    def messages(self, recording: Recording, topic: TopicInfo) -> Iterator[tuple[int, RawMessage]]:
+        """Stream the messages that are used; what lies before them is not read.
 
         Parameters
         ----------
-        messages : iterator of RawMessage
-            Of one topic, in order of log time.
+        recording : Recording
+        topic : TopicInfo
+
+        Yields
+        ------
+        int
+            Position among all messages of the topic, from 0.
+        RawMessage
+
+        Raises
+        ------
+        RecordingError
+            If a file cannot be read any further.
+        """
+        part = recording.within(self.span())
+        first = part.n_left_out(topic) if self.start_ns is not None else 0
+        return self._picked(enumerate(part.topic_messages(topic), first))
+
+    def _picked(
+        self, messages: Iterator[tuple[int, RawMessage]]
+    ) -> Iterator[tuple[int, RawMessage]]:
+        """Pick the messages that are used out of those of one topic, in order of log time.
 
         Yields
         ------
@@ -66,7 +94,7 @@ class Selection:
         RawMessage
         """
         n_inside = n_picked = 0
-        for index, raw in enumerate(messages):
+        for index, raw in messages:
             if self.most is not None and n_picked >= self.most:
                 return
             if self.stop_ns is not None and raw.log_time_ns >= self.stop_ns:
@@ -93,6 +121,6 @@ class Selection:
         int
         """
         if self.is_timed:
-            return sum(1 for _ in self.pick(recording.topic_messages(topic)))
+            return sum(1 for _ in self.messages(recording, topic))
         picked = -(-topic.count // self.every)
         return picked if self.most is None else min(picked, self.most)

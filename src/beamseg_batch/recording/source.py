@@ -6,6 +6,7 @@ import hashlib
 import os
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, partial
 from os import PathLike
@@ -22,6 +23,7 @@ from beamseg_batch.recording.container import (
     DamageLog,
     RawMessage,
     ReadLimits,
+    Span,
     told,
 )
 from beamseg_batch.recording.container_zstd import uncompressed
@@ -83,6 +85,7 @@ class Recording:
         self._codec = MessageCodec(_definitions(self._channels()))
         self._held_topics: frozenset[str] = frozenset()
         self._held: list[RawMessage] = []
+        self._span = Span()
 
     def _channels(self) -> list[Channel]:
         return [channel for index in self._indexes for channel in index.channels]
@@ -204,13 +207,34 @@ class Recording:
                 held.append(raw)
             self._held_topics, self._held = names, held
 
+    def within(self, span: Span) -> Recording:
+        """Return the same recording, of which other messages need not be read.
+
+        Parameters
+        ----------
+        span : Span
+
+        Returns
+        -------
+        Recording
+            Its topics, counts and times are those of the whole.
+        """
+        part = copy(self)
+        part._span = span
+        return part
+
+    def n_left_out(self, topic: TopicInfo) -> int:
+        """Count the messages of a topic that lie before `within` and are not read."""
+        if topic.name in self._held_topics:
+            return 0
+        containers = self._containers
+        return sum(c.n_left_out(topic.name, topic.msgtype, self._span) for c in containers)
+
     def _stream(self, names: frozenset[str]) -> Iterator[RawMessage]:
-        parts = list(zip(self._indexes, self._containers, strict=True))
-        stream = (
-            parts[0][1].messages(names)
-            if len(parts) == 1
-            else in_time_order([(index.start_ns, partial(c.messages, names)) for index, c in parts])
-        )
+        opens = [partial(c.messages, names, self._span) for c in self._containers]
+        starts = [index.start_ns for index in self._indexes]
+        parts = list(zip(starts, opens, strict=True))
+        stream = opens[0]() if len(opens) == 1 else in_time_order(parts)
         if any(channel.definition.encoding == CDR for channel in self._channels()):
             return map(self._uncompressed, stream)
         return stream

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from beamseg_batch.config import RunConfig
+from beamseg_batch.config import RunConfig, SensorConfig
+from beamseg_batch.model import DepthNoise
+from beamseg_batch.noise import DEFAULT_NOISE, depth_noise
 from beamseg_batch.recording.flight import Flight, open_flight
 from beamseg_batch.recording.source import Recording
-from beamseg_batch.recording.survey import Survey, survey_flight
+from beamseg_batch.recording.survey import Survey, survey_flight, surveyed_scans
 
 __all__ = ["suggest_config"]
 
 _PIXELS_ACROSS = 2.5
 """Pixels that a beam must cover: the published method has that many at its 1.5 m."""
 _FARTHEST_M = 3.0
+_RADIUS_ERROR = 0.1
+"""Share by which a radius may be off that is told by widths."""
 _FLOOR_CLEARANCE_M, _FLOOR_SIGMAS = 0.1, 5.0
 
 
@@ -42,6 +46,7 @@ def suggest_config(recording: Recording, config: RunConfig) -> str:
     """
     flight = open_flight(recording, config)
     survey = survey_flight(flight)
+    noise = depth_noise(surveyed_scans(flight), config.sensor)
     lines = [
         f"# Proposed for {_comment(recording.name)}, from {survey.n_scans} of its "
         f"{flight.n_clouds} clouds.",
@@ -50,7 +55,8 @@ def suggest_config(recording: Recording, config: RunConfig) -> str:
         *_recording_lines(flight),
         *_matching_lines(flight),
         *_sensor_lines(flight, survey),
-        *_filtering_lines(survey, config),
+        *_noise_lines(noise, config.sensor),
+        *_filtering_lines(survey, noise, config),
     ]
     return "\n".join(lines) + "\n"
 
@@ -110,25 +116,54 @@ def _sensor_lines(flight: Flight, survey: Survey) -> Iterator[str]:
 
 
 def _optics(survey: Survey) -> str:
-    if survey.pitch_rad is None or survey.noise_m is None:
-        return ", not an image: noise and footprint cannot be told"
-    return (
-        f", {1e3 * survey.pitch_rad:.1f} mrad apart: each covers {1e3 * survey.pitch_rad:.0f} mm "
-        f"at 1 m; noise about {1e3 * survey.noise_m:.0f} mm"
-    )
+    if survey.pitch_rad is None:
+        return ", not an image: the footprint of one cannot be told"
+    pitch_mrad = 1e3 * survey.pitch_rad
+    return f", {pitch_mrad:.1f} mrad apart: each covers {pitch_mrad:.0f} mm at 1 m"
 
 
-def _filtering_lines(survey: Survey, config: RunConfig) -> Iterator[str]:
-    radii = survey.beam_radii()
-    chosen = [round(radius, 3) for radius in radii] or list(config.filtering.radii)
+def _noise_lines(noise: DepthNoise, config: SensorConfig) -> Iterator[str]:
+    if noise is DEFAULT_NOISE:
+        why = "nothing flat in organised clouds to measure it on: it is taken as 10 mm"
+        yield _line("noise_m", None, why)
+        return
+    if config.noise_m is not None:
+        yield _line("noise_m", noise.constant, "as it was asked for")
+        yield _line("noise_relative", noise.relative, "as it was asked for")
+        return
+    near, far = (f"{1e3 * noise.at(depth):.1f} mm at {depth:g} m" for depth in (1.0, 2.0))
+    why = "deviation of the depths, measured on what is flat"
+    yield _line("noise_m", float(f"{noise.constant:.3g}"), why)
+    yield _line("noise_relative", float(f"{noise.relative:.3g}"), f"{near}, {far} in all")
+
+
+def _filtering_lines(survey: Survey, noise: DepthNoise, config: RunConfig) -> Iterator[str]:
+    measured, known = survey.beam_radii(), config.filtering.radii
+    chosen = list(dict.fromkeys(_candidate(radius, known) for radius in measured)) or list(known)
     yield "filtering:"
     yield from _window_lines(survey, min(chosen))
-    yield from _floor_lines(survey)
-    if radii:
-        why = "widths of what stands free before farther things; put the true ones if known"
-    else:
-        why = "no width stands out; put the true ones"
-    yield _line("radii", chosen, why)
+    yield from _floor_lines(survey, noise)
+    told = ", ".join(f"{1e3 * radius:.1f} mm" for radius in measured)
+    why = (
+        f"widths of what stands free say {told}, give or take 10 %"
+        if told
+        else "no width stands out"
+    )
+    yield _line("radii", chosen, f"{why}; put the true ones")
+
+
+def _candidate(measured: float, known: Sequence[float]) -> float:
+    """Known radius that a measured one agrees with, else that one, rounded."""
+    nearest = min(known, key=lambda radius: abs(math.log(radius / measured)))
+    return nearest if abs(nearest / measured - 1.0) <= _RADIUS_ERROR else _rounded(measured)
+
+
+def _rounded(radius: float) -> float:
+    """Radius in steps of 1, 2 or 5 mm, or decades of these, of a tenth of it at most."""
+    finest = _RADIUS_ERROR * radius
+    decade = 10.0 ** math.floor(math.log10(finest))
+    step = max(nice for nice in (1.0, 2.0, 5.0) if nice * decade <= finest) * decade
+    return round(round(radius / step) * step, 6)
 
 
 def _window_lines(survey: Survey, radius: float) -> Iterator[str]:
@@ -156,12 +191,12 @@ def _side(bounds: list[float], ahead: float) -> float:
     return max(math.ceil(10 * min(seen, ahead) - 1e-6), 1) / 10
 
 
-def _floor_lines(survey: Survey) -> Iterator[str]:
+def _floor_lines(survey: Survey, noise: DepthNoise) -> Iterator[str]:
     floor_m = survey.floor_m
     if floor_m is None:
         yield _line("floor_trim", "none", "no floor stands out")
         return
-    clearance = max(_FLOOR_CLEARANCE_M, _FLOOR_SIGMAS * (survey.noise_m or 0.0))
+    clearance = max(_FLOOR_CLEARANCE_M, _FLOOR_SIGMAS * noise.at(_FARTHEST_M))
     height = math.ceil(20 * (floor_m + clearance) - 1e-6) / 20
     why = f"the lowest level surface lies at {floor_m:.2f} m; {height - floor_m:.2f} m above it"
     yield _line("floor_trim_height", height, why)

@@ -1,24 +1,22 @@
-"""What the clouds of a flight show: ranges, noise, pixels, widths of beams, the floor."""
+"""What the clouds of a flight show: ranges, pixels, widths of beams, the floor."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from beamseg_batch.geometry import FloatArray
-from beamseg_batch.model import Scan, SkippedScan
+from beamseg_batch.model import Scan
 from beamseg_batch.recording.flight import Flight
 
-__all__ = ["Survey", "survey_flight"]
+__all__ = ["Survey", "survey_flight", "surveyed_scans"]
 
 _MOST_SCANS = 120
 _RANGE_STEP_M, _RANGE_BINS = 0.05, 2000
 _HEIGHT_STEP_M, _HEIGHT_BINS = 0.02, 20_000
-_SMOOTH_M = 0.05
-"""Largest second difference of neighbouring ranges that is noise and not an edge."""
 _EDGE_M = 0.15
 """How much farther than a beam what stands behind it is."""
 _SHARP = 3.0
@@ -28,8 +26,13 @@ _FEWEST_WIDE = 4
 _WIDEST_RAD = 0.35
 """Angle from which a thing is no beam, but a patch of floor or wall, at most ranges."""
 _RADII = np.geomspace(0.005, 0.25, 79)
+_CENTRES = np.sqrt(_RADII[:-1] * _RADII[1:])
 _FEWEST_WIDTHS = 200
 _PEAK_SHARE, _PEAK_REACH = 0.1, 3
+_NEAR_RANGES = 200
+"""Steps of range in which things that may be beams are counted."""
+_NEAR_PIXELS, _NEAR_REACH, _FEWEST_RUNS = 4, 1.5, 50
+"""A radius is averaged where it is so many pixels wide, over widths so many times off at most."""
 _FLANK, _PROMINENCE = 6, 1.8
 """A peak of radii is so many times as high as both of its flanks, a third smaller and larger."""
 _FLOOR_SHARE, _FLOOR_OF_HIGHEST = 0.03, 0.2
@@ -50,11 +53,12 @@ class Survey:
         Returns by height in the world frame, in steps of 0.02 m from -200 m.
     radii : (78,) int64
         Pixels on things narrow and free enough to be beams, by the radius they would have.
+    runs : (78, 200) float64
+        Cuts through such things, by that radius and by range, in steps of 0.05 m from 0.
     ahead, aside, above : list of float
         Per scan 99 % of the returns have a smaller x, absolute y and z, sensor axes, metres.
-    noises, pitches : list of float
-        Per scan, standard deviation of the range in metres and angle between neighbouring
-        pixels in radians.
+    pitches : list of float
+        Per scan, angle between neighbouring pixels, radians.
     """
 
     n_scans: int = 0
@@ -64,10 +68,10 @@ class Survey:
     ranges: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_RANGE_BINS, np.int64))
     heights: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_HEIGHT_BINS, np.int64))
     radii: NDArray[np.int64] = field(default_factory=lambda: np.zeros(len(_RADII) - 1, np.int64))
+    runs: FloatArray = field(default_factory=lambda: np.zeros((len(_RADII) - 1, _NEAR_RANGES)))
     ahead: list[float] = field(default_factory=list)
     aside: list[float] = field(default_factory=list)
     above: list[float] = field(default_factory=list)
-    noises: list[float] = field(default_factory=list)
     pitches: list[float] = field(default_factory=list)
 
     def add(self, scan: Scan) -> None:
@@ -95,22 +99,15 @@ class Survey:
         pitch = _angles(rays[:, :-1], rays[:, 1:])
         if np.isfinite(pitch).any():
             self.pitches.append(float(np.nanmedian(pitch)))
-        bends = np.diff(depths, n=2, axis=1)
-        bends = bends[np.abs(bends) < _SMOOTH_M]
-        if len(bends):
-            # Of independent errors, the second difference has six times the variance.
-            self.noises.append(1.4826 * float(np.median(np.abs(bends))) / 6.0**0.5)
-        self.radii += np.histogram(_beam_radii(depths, rays), _RADII)[0]
+        radii, ranges, counts = _beam_radii(depths, rays)
+        self.radii += np.histogram(radii[counts >= _FEWEST_WIDE], _RADII)[0]
+        steps = np.arange(_NEAR_RANGES + 1) * _RANGE_STEP_M
+        self.runs += np.histogram2d(radii, ranges, (_RADII, steps), weights=1.0 / counts)[0]
 
     def far_range(self, share: float) -> float:
         """Range within which a share of the returns lies, metres."""
         reached = np.searchsorted(np.cumsum(self.ranges), share * self.ranges.sum())
         return float((reached + 1) * _RANGE_STEP_M)
-
-    @property
-    def noise_m(self) -> float | None:
-        """Standard deviation of the range, metres; None when the clouds are no images."""
-        return float(np.median(self.noises)) if self.noises else None
 
     @property
     def pitch_rad(self) -> float | None:
@@ -142,14 +139,46 @@ class Survey:
             fewest = max(_PEAK_SHARE * self.radii.sum(), _PROMINENCE * flanks)
             if smooth[k] == around.max() and smooth[k] >= fewest:
                 peaks.append(k)
-        centres = np.sqrt(_RADII[:-1] * _RADII[1:])
         found: list[float] = []
         for k in peaks:
             window = slice(max(k - 1, 0), k + 2)
-            radius = float(np.average(centres[window], weights=self.radii[window]))
+            radius = float(np.average(_CENTRES[window], weights=self.radii[window]))
             if not found or radius > 1.3 * found[-1]:
                 found.append(radius)
-        return found[::-1]
+        return [self._averaged(radius) for radius in found[::-1]]
+
+    def _averaged(self, radius: float) -> float:
+        """Mean radius of the cuts near enough to be wide, whatever their number of pixels.
+
+        A cut of w pixels shows the whole number above or below w, so that its mean is right
+        where none is left out for being narrow, and none counts more for being wide.
+        """
+        reach = 2.0 * radius / (_NEAR_PIXELS * (self.pitch_rad or np.inf))
+        near = self.runs[:, : int(reach / _RANGE_STEP_M)].sum(axis=1)
+        near[(radius > _NEAR_REACH * _CENTRES) | (radius * _NEAR_REACH < _CENTRES)] = 0.0
+        return radius if near.sum() < _FEWEST_RUNS else float(np.average(_CENTRES, weights=near))
+
+
+def surveyed_scans(flight: Flight) -> Iterator[Scan]:
+    """Some of a flight's scans, spread evenly over it.
+
+    Parameters
+    ----------
+    flight : Flight
+
+    Yields
+    ------
+    Scan
+        120 at most.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read any further.
+    """
+    for scan in flight.thinned(-(-flight.n_clouds // _MOST_SCANS)).scans():
+        if isinstance(scan, Scan):
+            yield scan
 
 
 def survey_flight(flight: Flight) -> Survey:
@@ -162,21 +191,16 @@ def survey_flight(flight: Flight) -> Survey:
     Returns
     -------
     Survey
-        Of 120 scans at most, spread evenly over the flight.
+        Of those that `surveyed_scans` gives.
 
     Raises
     ------
     RecordingError
         If the file cannot be read any further.
     """
-    return _survey(flight.thinned(-(-flight.n_clouds // _MOST_SCANS)).scans())
-
-
-def _survey(scans: Iterable[Scan | SkippedScan]) -> Survey:
     survey = Survey()
-    for scan in scans:
-        if isinstance(scan, Scan):
-            survey.add(scan)
+    for scan in surveyed_scans(flight):
+        survey.add(scan)
     return survey
 
 
@@ -192,21 +216,29 @@ def _angles(first: FloatArray, second: FloatArray) -> FloatArray:
     return angles
 
 
-def _beam_radii(depths: FloatArray, rays: FloatArray) -> FloatArray:
+def _beam_radii(depths: FloatArray, rays: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Radius that a cylinder would have at each pixel of a narrow, free-standing thing.
 
     A thing is seen under an angle along its row and under one along its column; the width
     across a beam that leans lies between: ``1/w^2 = 1/w_row^2 + 1/w_column^2``. A cylinder
-    at range ``s`` that fills an angle ``2 a`` has the radius ``s sin a / (1 - sin a)``.
+    that fills an angle ``2 a`` has its axis at ``r / sin a``, and its surface, on the mean
+    of its width, at ``r pi/4`` before that.
+
+    Returns
+    -------
+    radii : (N,) float64, metres
+    ranges : (N,) float64, metres
+    counts : (N,) float64
+        Pixels of the narrower cut through each.
     """
-    rows = _free_angles(depths, rays)
-    columns = _free_angles(depths.T, rays.transpose(1, 0, 2)).T
+    rows, n_row = _free_angles(depths, rays)
+    columns, n_column = (each.T for each in _free_angles(depths.T, rays.transpose(1, 0, 2)))
     with np.errstate(divide="ignore", invalid="ignore"):
         widths = (rows**-2 + columns**-2) ** -0.5
     narrow = np.isfinite(widths) & (widths < _WIDEST_RAD)
-    sines = np.sin(0.5 * widths[narrow])
-    radii: FloatArray = depths[narrow] * sines / (1.0 - sines)
-    return radii
+    sines, ranges = np.sin(0.5 * widths[narrow]), depths[narrow]
+    counts = np.minimum(n_row, n_column)[narrow]
+    return ranges * sines / (1.0 - 0.25 * np.pi * sines), ranges, counts
 
 
 def _are_smooth(
@@ -235,8 +267,8 @@ def _are_smooth(
     return are_smooth
 
 
-def _free_angles(depths: FloatArray, rays: FloatArray) -> FloatArray:
-    """Angle under which each pixel's run of its row is seen; infinite if it is not free.
+def _free_angles(depths: FloatArray, rays: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Angle under which each pixel's run of its row is seen, and its pixels; infinite if not free.
 
     A run ends where the range jumps, by far more than anywhere within it. It is free when
     what is on both of its sides lies farther away, or gives no return, and it does not
@@ -249,15 +281,16 @@ def _free_angles(depths: FloatArray, rays: FloatArray) -> FloatArray:
     rows, columns = np.nonzero(np.abs(steps) > _EDGE_M)
     row, left, right = rows[:-1], columns[:-1], columns[1:]
     count = right - left
-    free = (row == rows[1:]) & (count >= _FEWEST_WIDE)
+    free = (row == rows[1:]) & (count >= 2)
     free[free] = (steps[row[free], left[free]] < 0.0) & (steps[row[free], right[free]] > 0.0)
     row, left, right, count = row[free], left[free], right[free], count[free]
     smooth = _are_smooth(np.abs(steps), row, left, right)
     row, left, right, count = row[smooth], left[smooth], right[smooth], count[smooth]
     # From the middle of the first pixel to that of the last, and half a pixel more on each side.
     widths = _angles(rays[row, left + 1], rays[row, right]) * count / np.maximum(count - 1, 1)
-    angles = np.full(depths.size, np.inf)
+    angles, counts = np.full((2, depths.size), np.inf)
     first = row * depths.shape[1] + left + 1
     within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-    angles[np.repeat(first, count) + within] = np.repeat(widths, count)
-    return angles.reshape(depths.shape)
+    pixels = np.repeat(first, count) + within
+    angles[pixels], counts[pixels] = np.repeat(widths, count), np.repeat(count, count)
+    return angles.reshape(depths.shape), counts.reshape(depths.shape)

@@ -84,7 +84,8 @@ def _fitted(depths: FloatArray, residuals: FloatArray) -> DepthNoise:
     order = np.argsort(depths)
     parts = np.array_split(order, _BINS)
     squares = np.array([np.median(depths[part]) for part in parts]) ** 2
-    variances = np.array([_deviation(residuals[part]) for part in parts]) ** 2
+    # Depths in whole millimetres, or of a simulated wall, may not differ at all.
+    variances = np.array([max(_deviation(residuals[part]), _SMALLEST_M) for part in parts]) ** 2
     weights = 1.0 / variances
     design = np.stack([np.ones(_BINS), squares], axis=1) * weights[:, None]
     (constant, slope), *_ = np.linalg.lstsq(design, variances * weights, rcond=None)

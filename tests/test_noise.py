@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from beamseg_batch.config import SensorConfig
-from beamseg_batch.detection.noise import DEFAULT_NOISE, depth_noise, measured_noise
 from beamseg_batch.model import DepthNoise
+from beamseg_batch.noise import DEFAULT_NOISE, depth_noise, measured_noise
 from tests.detection.scans import make_scan
 from tests.rays import camera_rays
 
@@ -54,6 +54,12 @@ def test_measured_noise__does_not_heed_edges():
 def test_measured_noise__of_exact_depths_is_small_but_not_zero():
     noise = measured_noise(flight(3, DepthNoise(0.0)))
     assert 0.0 < noise.at(1.0) < 1e-3
+
+
+def test_measured_noise__of_a_wall_of_one_depth():
+    """As a depth image in whole millimetres shows it: most neighbours do not differ at all."""
+    wall = wall_scan(np.random.default_rng(8), DepthNoise(0.0), slope=0.0)
+    assert 0.0 < measured_noise([wall] * 3).at(1.0) < 1e-3
 
 
 def test_measured_noise__is_not_known_of_clouds_without_rows():
