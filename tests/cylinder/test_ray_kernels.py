@@ -11,6 +11,7 @@ from beamseg_batch.cylinder.ray_kernels import (
     enter_cylinder,
     finite_depth,
     fit_axis,
+    near_line,
     on_cylinders,
     perpendiculars,
     solve_4,
@@ -223,6 +224,18 @@ def test_on_cylinders__agrees_with_distances(seed):
             (off_axis(points, a, b) < radius + reach) & (s >= first - reach) & (s <= last + reach)
         )
     np.testing.assert_array_equal(near, wanted)
+
+
+@given(SEEDS)
+@settings(deadline=None, max_examples=40)
+def test_near_line__agrees_with_distances(seed):
+    rng = np.random.default_rng(seed)
+    points, a = rng.uniform(-0.5, 0.5, (60, 3)), rng.uniform(-0.5, 0.5, 3)
+    b, reach = normalised(rng.normal(size=3)), rng.uniform(0.05, 0.5)
+    first, last = np.sort(rng.uniform(-0.5, 0.5, 2))
+    s = (points - a) @ b
+    wanted = np.flatnonzero((off_axis(points, a, b) < reach) & (s > first) & (s < last))
+    np.testing.assert_array_equal(near_line(points, a, b, first, last, reach), wanted)
 
 
 def test_on_cylinders__of_none():

@@ -268,3 +268,29 @@ def test_refined__drops_the_unlikely_where_that_is_allowed(drop):
 def test_refined__of_no_evidence_is_nothing():
     assert refined([GOOD], Sums([GOOD]), NOISE, PassRules(drop=False)) == []
     assert refined([], Sums([]), NOISE, PassRules(snap=True)) == []
+
+
+# --- beams in one another's way -------------------------------------------------------
+
+
+def test_refined__of_two_beams_for_one_the_likelier_waits_a_pass():
+    weaker = beam([0.1, 0.01, 0], [0.9, 0.02, 0], score=900.0, hits=230.0, scans=4)
+    silent = Sums([weaker, GOOD])
+    assert refined([weaker, GOOD], silent, NOISE, PassRules()) == [GOOD]
+    assert refined([GOOD], Sums([GOOD]), NOISE, PassRules()) == []
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        beam([0.1, 0.2, 0], [0.9, 0.2, 0], score=900.0, hits=230.0),
+        beam([1.5, 0, 0], [2.5, 0, 0], score=900.0, hits=230.0),
+    ],
+)
+def test_refined__beams_apart_do_not_wait_for_one_another(other):
+    assert refined([GOOD, other], Sums([GOOD, other]), NOISE, PassRules()) == []
+
+
+def test_refined__what_was_unlikely_before_does_not_wait():
+    poor = [replace(GOOD, score=200.0), replace(GOOD, score=100.0)]
+    assert refined(poor, Sums(poor), NOISE, PassRules()) == []

@@ -17,6 +17,7 @@ __all__ = [
     "enter_cylinder",
     "finite_depth",
     "fit_axis",
+    "near_line",
     "on_cylinders",
     "perpendiculars",
     "solve_4",
@@ -258,6 +259,38 @@ def fit_axis(
             b[axis] /= length
         rms = np.sqrt(squares / weights)
     return a, b, count, rms
+
+
+@kernel
+def near_line(
+    points: FloatArray, a: FloatArray, b: FloatArray, first: float, last: float, reach: float
+) -> NDArray[np.int64]:
+    """Points near a stretch of a line.
+
+    Parameters
+    ----------
+    points : (N, 3) float64, metres
+    a, b : (3,) float64
+        A point of the line and its unit direction.
+    first, last : float, metres
+        The stretch, from `a` on.
+    reach : float, metres
+        How far from the line still counts.
+
+    Returns
+    -------
+    (K,) int64
+        Their indices, in order.
+    """
+    found = np.empty(len(points), np.int64)
+    count = 0
+    for k in range(len(points)):
+        x, y, z = points[k, 0] - a[0], points[k, 1] - a[1], points[k, 2] - a[2]
+        s = x * b[0] + y * b[1] + z * b[2]
+        if first < s < last and x * x + y * y + z * z - s * s < reach * reach:
+            found[count] = k
+            count += 1
+    return found[:count]
 
 
 @kernel

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from beamseg_batch.cylinder.ray_kernels import fit_axis
+from beamseg_batch.cylinder.ray_kernels import fit_axis, near_line
 from beamseg_batch.model import DepthNoise, Scan, Segment
 
 __all__ = ["Returns", "fit_segment_axis"]
@@ -70,14 +70,9 @@ def fit_segment_axis(segment: Segment, returns: Returns) -> Segment:
     away = a - (a @ b) * b
     away /= max(float(np.linalg.norm(away)), 1e-9)
     start = replace(segment, anchor=a + _START * segment.radius * away)
-    relative = returns.points - a
-    along = relative @ b
-    off = relative - along[:, None] * b
     reach = 2.0 * segment.radius + _GATES[0] * returns.sigma.at(float(a[0]))
-    near = (np.einsum("ij,ij->i", off, off) < reach * reach) & (
-        (along > segment.t_min - 0.1) & (along < segment.t_max + 0.1)
-    )
-    if int(near.sum()) < _FEWEST:
+    near = near_line(returns.points, a, b, segment.t_min - 0.1, segment.t_max + 0.1, reach)
+    if len(near) < _FEWEST:
         return start
     sigmas = returns.sigmas[near]
     typical = float(sigmas.min())

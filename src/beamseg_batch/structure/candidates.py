@@ -6,6 +6,7 @@ import numpy as np
 
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import Segment
+from beamseg_batch.structure.candidate_kernels import nearest_candidate
 from beamseg_batch.structure.hypothesis import Beam
 
 __all__ = ["Candidates"]
@@ -34,7 +35,7 @@ class Candidates:
 
     def __init__(self, sigma: float) -> None:
         self._most_offset = max(_LEAST_OFFSET_M, _MOST_OFFSET_SIGMAS * sigma * 0.75)
-        self._rows = np.empty((16, 8))  # anchor, direction, both ends along it
+        self._rows = np.empty((16, 9))  # as of nearest_candidate
         self._groups: list[_Group] = []
 
     def __len__(self) -> int:
@@ -48,36 +49,17 @@ class Candidates:
         segment : Segment
             World frame, on the beam's axis.
         """
-        index = self._nearest(segment)
-        if index is None:
+        index = nearest_candidate(
+            self._rows[: len(self._groups)], segment.end_1, segment.end_2, segment.radius,
+            self._most_offset, _MOST_ANGLE, _BRIDGE_M,
+        )  # fmt: skip
+        if index < 0:
             index = len(self._groups)
             self._groups.append(_Group(segment))
             if index == len(self._rows):
                 self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
         self._groups[index].add(segment)
         self._rows[index] = self._groups[index].row()
-
-    def _nearest(self, segment: Segment) -> int | None:
-        """Index of the candidate whose axis passes nearest both ends, if near enough."""
-        rows = self._rows[: len(self._groups)]
-        anchors, directions = rows[:, 0:3], rows[:, 3:6]
-        offsets, places = [], []
-        for end in (segment.end_1, segment.end_2):
-            apart = end - anchors
-            along = np.einsum("ij,ij->i", apart, directions)
-            offsets.append(np.linalg.norm(apart - along[:, None] * directions, axis=1))
-            places.append(along)
-        furthest = np.maximum(*offsets)
-        near = (
-            (furthest < self._most_offset)
-            & (np.abs(directions @ segment.direction) > _MOST_ANGLE)
-            & (np.minimum(*places) < rows[:, 7] + _BRIDGE_M)
-            & (np.maximum(*places) > rows[:, 6] - _BRIDGE_M)
-        )
-        same = near & (np.array([g.radius for g in self._groups]) == segment.radius)
-        if not same.any():
-            return None
-        return int(np.argmin(np.where(same, furthest, np.inf)))
 
     def beams(self, min_scans: int) -> list[Beam]:
         """Candidates seen in enough scans."""
@@ -96,24 +78,24 @@ class _Group:
         self._ends = np.array([segment.end_1, segment.end_2])
 
     def add(self, segment: Segment) -> None:
-        weight = float(segment.n_points)
-        for point in (segment.end_1, segment.midpoint, segment.end_2):
-            self._weight += weight
-            self._sum += weight * point
-            self._products += weight * np.outer(point, point)
+        points = np.array([segment.end_1, segment.midpoint, segment.end_2])
+        self._weight += 3.0 * segment.n_points
+        self._sum += segment.n_points * points.sum(axis=0)
+        self._products += segment.n_points * (points.T @ points)
         self.anchor: FloatArray = self._sum / self._weight
-        scatter = self._products / self._weight - np.outer(self.anchor, self.anchor)
+        scatter = self._products / self._weight - self.anchor[:, None] * self.anchor
         axis = np.linalg.eigh(scatter)[1][:, 2]
         self._direction = axis if axis @ self._direction > 0.0 else -axis
-        ends = np.concatenate([self._ends, [segment.end_1, segment.end_2]])
-        along = (ends - self.anchor) @ self._direction
+        along = (np.concatenate([self._ends, points]) - self.anchor) @ self._direction
         self.first, self.last = float(along.min()), float(along.max())
-        self._ends = self.anchor + np.outer([self.first, self.last], self._direction)
+        spread = np.array([[self.first], [self.last]]) * self._direction
+        self._ends = self.anchor + spread
         self.sightings += 1
         self.last_seen_ns = segment.last_seen_ns
 
     def row(self) -> FloatArray:
-        return np.concatenate([self.anchor, self._direction, [self.first, self.last]])
+        rest = [self.first, self.last, self.radius]
+        return np.concatenate([self.anchor, self._direction, rest])
 
     def beam(self) -> Beam:
         return Beam(

@@ -11,6 +11,7 @@ import numpy as np
 from beamseg_batch.cylinder.evidence_kernels import COARSE
 from beamseg_batch.cylinder.ray_kernels import solve_4
 from beamseg_batch.geometry import FloatArray
+from beamseg_batch.structure.bend_kernels import best_bend
 from beamseg_batch.structure.hypothesis import Beam, Sums, normal_matrix
 from beamseg_batch.structure.interval_kernels import best_intervals, densest_part
 from beamseg_batch.structure.snapping import snapped
@@ -207,26 +208,10 @@ def bend(
     least = round(0.25 / COARSE)
     if len(rows) < 2 * least:
         return None
-    totals = np.concatenate([np.zeros((1, rows.shape[1])), np.cumsum(rows, axis=0)])
-    whole_gain, _ = _gain(totals[-1])
-    best, place = 0.0, None
-    for k in range(least, len(rows) - least + 1):
-        left, left_step = _gain(totals[k])
-        right, right_step = _gain(totals[-1] - totals[k])
-        gain = left + right - whole_gain
-        angle = np.hypot(*(right_step - left_step)[2:])
-        if gain > best and angle > np.radians(1.5):
-            best, place = gain, k
-    count = totals[-1][14]
-    if place is None or best < 200.0 or best / count < (0.0025 / noise) ** 2:
+    place, gain = best_bend(rows, least, np.radians(1.5))
+    if place < 0 or gain < 200.0 or gain / rows[:, 14].sum() < (0.0025 / noise) ** 2:
         return None
     return float(sums.starts[index] + (span.start + place) * COARSE)
-
-
-def _gain(total: FloatArray) -> tuple[float, FloatArray]:
-    matrix, right = normal_matrix(total[None])
-    step, regular = solve_4(matrix[:4, :4], right[:4])
-    return (float(right[:4] @ step), step) if regular else (0.0, np.zeros(4))
 
 
 def without_duplicates(beams: Sequence[Beam]) -> list[Beam]:
