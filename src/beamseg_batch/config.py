@@ -262,6 +262,22 @@ class RefinementConfig(Node):
     passes: Annotated[int, Field(ge=0, le=100)] = 12
     """How often, at most, the recording is read again to ask all rays about the beams found so
     far; it ends when nothing moves."""
+    competition: bool = True
+    """Whether beams compete for the rays that several explain; without, each has all of them."""
+    split: bool = True
+    """Whether a beam is split in two where it bends."""
+    drop: bool = True
+    """Whether a beam goes that the rays deny, or that has a surface on either side."""
+    merge: bool = True
+    """Whether two beams on one axis become one."""
+    cut: bool = True
+    """Whether a beam is cut into several where rays see through it."""
+    snap: bool = True
+    """Whether ends are drawn to the axes that pass by them."""
+    leftovers: bool = True
+    """Whether the returns that no beam explains are searched for further beams."""
+    ends: bool = True
+    """Whether a last pass measures where the ends are."""
 
 
 class OutputConfig(Node):

@@ -149,7 +149,7 @@ def _refine(
         if should_stop():
             log.stop(f"interrupted after pass {number + 1} of {passes} over the rays")
             return
-    if passes:
+    if passes and flight.config.refinement.ends:
         ends = structure.end_question()
         structure.set_ends(sum(map(ends.ask, _batches(_usable(flight))), start=ends.sums()))
 

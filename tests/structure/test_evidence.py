@@ -173,3 +173,26 @@ def test_propose__adds_beams_that_are_measured_like_the_others():
     (post,) = (s for s in structure.segments() if abs(s.direction[2]) > 0.9)
     assert_measured(post, POST)
     assert post.first_seen_ns == 7
+
+
+@pytest.mark.parametrize("step", ["competition", "split", "drop", "merge", "cut", "snap"])
+def test_question__every_step_can_be_left_out(step):
+    structure = EvidenceStructure(load_config("precise", None, [f"refinement.{step}=false"]), NOISE)
+    kinds = [structure._next_pass()]
+    while structure._waiting:
+        structure._waiting = structure._waiting[1:]
+        kinds.append(structure._next_pass())
+    if step == "competition":
+        assert {kind.competitors for kind in kinds} == {"none"}
+    else:
+        assert not any(getattr(kind.rules, step) for kind in kinds)
+        others = {"split", "drop", "merge", "cut", "snap"} - {step}
+        assert all(any(getattr(kind.rules, other) for kind in kinds) for other in others)
+
+
+def test_wants_leftovers__not_where_they_are_left_out():
+    config = load_config("precise", None, ["refinement.leftovers=false"])
+    structure = EvidenceStructure(config, NOISE)
+    while structure._waiting:
+        refine(structure, [])
+    assert not structure.wants_leftovers

@@ -244,7 +244,7 @@ def test_refined__cuts_in_two_where_that_is_allowed(several):
     places = sums.starts[0] + FINE * (np.arange(len(hits)) + 0.5)
     gap = np.abs(places) < 0.1
     likelihood[gap], hits[gap] = -4.0, 0.0
-    found = refined([GOOD], sums, NOISE, PassRules(several=several))
+    found = refined([GOOD], sums, NOISE, PassRules(cut=several))
     lengths = sorted(one.length for one in found)
     assert lengths == pytest.approx([0.4, 0.4] if several else [1.0], abs=2 * FINE)
 

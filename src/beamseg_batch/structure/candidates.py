@@ -84,7 +84,7 @@ class _Group:
         self._products += segment.n_points * (points.T @ points)
         self.anchor: FloatArray = self._sum / self._weight
         scatter = self._products / self._weight - self.anchor[:, None] * self.anchor
-        axis = np.linalg.eigh(scatter)[1][:, 2]
+        axis = np.linalg.eigh(scatter)[1][:, 2].copy()  # in one piece, as kernels want it
         self._direction = axis if axis @ self._direction > 0.0 else -axis
         along = (np.concatenate([self._ends, points]) - self.anchor) @ self._direction
         self.first, self.last = float(along.min()), float(along.max())

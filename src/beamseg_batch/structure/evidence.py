@@ -53,15 +53,13 @@ class _Pass:
 
 
 _FRESH = (
-    _Pass("none", 5.0, PassRules(split=True, drop=False, several=False)),
-    _Pass("likelier", 5.0, PassRules(split=False, drop=True, several=False)),
-    _Pass("all", 5.0, PassRules(split=True, drop=True, several=False), flanks=True),
+    _Pass("none", 5.0, PassRules(drop=False)),
+    _Pass("likelier", 5.0, PassRules(split=False)),
+    _Pass("all", 5.0, PassRules(), flanks=True),
 )
 """Passes after new beams came: refit all, drop doubles, then let all compete."""
 
-_SETTLING = _Pass(
-    "all", 4.0, PassRules(split=True, drop=True, several=True, snap=True), flanks=True
-)
+_SETTLING = _Pass("all", 4.0, PassRules(cut=True, snap=True), flanks=True)
 """The pass that is repeated until nothing moves."""
 
 
@@ -81,7 +79,7 @@ class EvidenceStructure:
         self._candidates = Candidates(self._camera.sigma)
         self._beams: list[Beam] | None = None
         self._waiting = list(_FRESH)
-        self._searched = False
+        self._searched = not config.refinement.leftovers
 
     def __len__(self) -> int:
         return len(self._candidates) if self._beams is None else len(self._beams)
@@ -132,7 +130,14 @@ class EvidenceStructure:
         return bool(self._waiting) or not self._searched or _have_moved(beams, self._beams)
 
     def _next_pass(self) -> _Pass:
-        return self._waiting[0] if self._waiting else _SETTLING
+        kind = self._waiting[0] if self._waiting else _SETTLING
+        rules = {
+            name: allowed and getattr(self.config.refinement, name)
+            for name, allowed in vars(kind.rules).items()
+        }
+        competing = self.config.refinement.competition
+        competitors = kind.competitors if competing else "none"
+        return replace(kind, competitors=competitors, rules=PassRules(**rules))
 
     def leftover_question(self) -> LeftoverQuestion:
         """Return which rays of the flight no beam explains."""

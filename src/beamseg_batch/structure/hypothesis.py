@@ -48,8 +48,8 @@ class Beam:
         Whether an end was drawn to another axis.
     sigma_ends : (2,) float64, metres
         Standard deviations of the ends along the axis.
-    ends_seen : (bool, bool)
-        Whether rays deny that the beam goes on.
+    ends_seen : (bool, bool) or None
+        Whether rays deny that the beam goes on; None where they were not asked.
     flanks : (2, 2) float64
         Rays that pass closely on its left and right and found something at its depth, or
         nothing.
@@ -74,7 +74,7 @@ class Beam:
     sigma_radius: float = np.nan
     snapped: tuple[bool, bool] = (False, False)
     sigma_ends: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
-    ends_seen: tuple[bool, bool] = (False, False)
+    ends_seen: tuple[bool, bool] | None = None
     flanks: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
     profile: FloatArray = field(default_factory=lambda: np.zeros(0))
     profile_start: float = 0.0

@@ -38,14 +38,16 @@ class PassRules:
 
     Attributes
     ----------
-    split, drop, several, snap : bool
-        Whether beams are split at bends, dropped when the evidence is weak, cut into several
-        where it is interrupted, and drawn to the axes that they meet.
+    split, drop, merge, cut, snap : bool
+        Whether beams are split at bends, dropped when the evidence is weak, merged when two
+        are the same, cut into several where the evidence is interrupted, and drawn to the
+        axes that they meet.
     """
 
     split: bool = True
     drop: bool = True
-    several: bool = False
+    merge: bool = True
+    cut: bool = False
     snap: bool = False
 
 
@@ -58,7 +60,8 @@ def refined(beams: Sequence[Beam], sums: Sums, noise: float, rules: PassRules) -
         likely = [part for part in parts if not rules.drop or is_likely(part)]
         found += likely
         refused += [] if likely else [beam]
-    found = without_duplicates(found + (_outdone(refused) if rules.drop else []))
+    found += _outdone(refused) if rules.drop else []
+    found = without_duplicates(found) if rules.merge else found
     return snapped(found) if rules.snap else found
 
 
@@ -106,7 +109,7 @@ def _renewed(beam: Beam, index: int, sums: Sums, noise: float, rules: PassRules)
     stretches = best_intervals(likelihood, INTERVAL_COST)
     if len(stretches) == 0:
         return []
-    if not rules.several:
+    if not rules.cut:
         stretches = np.array([[stretches[0, 0], stretches[-1, 1]]])
     beams = []
     for first, last in stretches:
