@@ -164,10 +164,10 @@ class Gathered:
         if not hidden:
             costs = [min(0.5 * value**2, scene.background) for value in (best, residual)]
             self.likelihood[fine] += costs[0] - costs[1]
-        if best <= abs(residual) + 2:
-            return
-        self.hits[fine] += 1
-        if scene.firsts[j] <= s <= scene.lasts[j] and abs(residual) < scene.tukey:
+        self.hits[fine] += best > abs(residual) + 2
+        apart = np.min(np.abs(entry - rivals) / sigma, initial=np.inf)
+        tells = not hidden and apart >= 4 and abs(residual) < min(scene.tukey, apart / 2)
+        if scene.firsts[j] <= s <= scene.lasts[j] and tells:
             self.alone[j] += 1
             normal = (entry * w - a - s * b) / radius
             if abs(normal @ w) >= 0.2:

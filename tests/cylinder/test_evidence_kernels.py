@@ -184,6 +184,20 @@ def test_gather__a_beam_hidden_by_a_rival_is_neither_seen_nor_denied():
     assert behind == 0.0
 
 
+def test_gather__noise_does_not_push_an_axis_away_from_its_neighbour():
+    """Where a beam stands 5 sigmas before a wall of another, its rays count on both sides."""
+    noise = 0.02
+    behind = ([1.1, 0.0, -0.3], [1.1, 0.0, 0.3], 0.05)
+    front = ([1.0, 0.0, -0.3], [1.0, 0.0, 0.3], 0.05)
+    slopes = []
+    for seed in range(12):
+        scene, sums = told([front], [front, behind], noise=(noise, 0.0), seed=seed)
+        rows = sums.normal[: scene.coarse_at[1]].sum(axis=0)
+        u = scene.us[0]
+        slopes.append((rows[9] * u[0] + rows[10] * scene.vs[0][0]) / rows[15])
+    assert abs(np.mean(slopes)) < 3.0 * np.std(slopes) / np.sqrt(len(slopes))
+
+
 @pytest.mark.parametrize(
     ("limits", "alone"), [((-1, -1), (1, 1)), ((-1, 0), (1, 0)), ((2, 2), (0, 0))]
 )

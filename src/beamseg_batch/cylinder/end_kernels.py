@@ -58,7 +58,7 @@ def gather_ends(
                 )
                 wb = wx * b[0] + wy * b[1] + wz * b[2]
                 ab = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-                before, best = rivals(beams, meetings, k, this)
+                before, best, _ = rivals(beams, meetings, k, this)
                 sigma, side = meetings.sigma[this], meetings.side[this]
                 for which in range(2):
                     if not (near_last if which else near_first):

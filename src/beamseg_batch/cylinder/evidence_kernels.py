@@ -36,6 +36,7 @@ _THROUGH = -4.0  # log-likelihood ratio of a ray that saw through
 _EDGE = 0.8  # share of the radius beyond which a ray that passes proves nothing
 _MIN_INCIDENCE = 0.2
 _CONTESTED = 2.0  # sigmas by which a ray must fit one beam better than any other
+_LEAST_APART = 4.0  # sigmas from the nearest competitor, for a ray to tell of the axis
 _FEWEST_ALONE = 3
 
 
@@ -176,7 +177,7 @@ def gather(
         while this >= 0:
             j, s, e = meetings.who[this], meetings.along[this], meetings.residual[this]
             side, entry, sigma = meetings.side[this], meetings.entry[this], meetings.sigma[this]
-            before, best = rivals(beams, meetings, k, this)
+            before, best, apart = rivals(beams, meetings, k, this)
             this = meetings.chain[this]
             evidence.asked[j] += 1
             radius = beams.radii[j]
@@ -190,10 +191,13 @@ def gather(
             fine = evidence.fine_at[j] + int((s - start) / FINE)
             fine = min(fine, evidence.fine_at[j + 1] - 1)
             evidence.likelihood[fine] += gain(e, entry >= before, best, side, background)
-            if abs(e) > GATE or best <= abs(e) + _CONTESTED:
+            if abs(e) <= GATE and best > abs(e) + _CONTESTED:
+                evidence.hits[fine] += 1.0
+            # Which side of the beam a ray's noise lies on must not decide whether it counts:
+            # that would push the axis away from its neighbours.
+            if entry >= before or apart < _LEAST_APART or abs(e) >= min(tukey, 0.5 * apart):
                 continue
-            evidence.hits[fine] += 1.0
-            if not beams.firsts[j] <= s <= beams.lasts[j] or abs(e) >= tukey:
+            if not beams.firsts[j] <= s <= beams.lasts[j]:
                 continue
             alone[j] += 1
             a, b, u, v = beams.anchors[j], beams.directions[j], beams.us[j], beams.vs[j]

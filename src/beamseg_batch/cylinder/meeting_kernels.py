@@ -313,7 +313,7 @@ def meet(view: View, beams: Cylinders, meetings: Meetings, flanks: bool) -> int:
 
 
 @kernel
-def rivals(beams: Cylinders, meetings: Meetings, k: int, this: int) -> tuple[float, float]:
+def rivals(beams: Cylinders, meetings: Meetings, k: int, this: int) -> tuple[float, float, float]:
     """What the other beams that a ray meets say to it.
 
     Parameters
@@ -330,18 +330,21 @@ def rivals(beams: Cylinders, meetings: Meetings, k: int, this: int) -> tuple[flo
         Depth of the nearest competitor, infinite if there is none.
     best : float
         Least distance of the measured depth from a competitor, in sigmas.
+    apart : float
+        Least distance of the beam's own depth from a competitor, in sigmas.
     """
-    limit, sigma, depth = beams.limits[meetings.who[this]], meetings.sigma[this], np.inf
-    depth = meetings.sight[k, 3]
-    before, best = np.inf, np.inf
+    limit, sigma = beams.limits[meetings.who[this]], meetings.sigma[this]
+    entry, depth = meetings.entry[this], meetings.sight[k, 3]
+    before, best, apart = np.inf, np.inf, np.inf
     other = meetings.head[k]
     while other >= 0:
         near = meetings.nearest[other]
         if other != this and near < np.inf and beams.ranks[meetings.who[other]] <= limit:
             before = min(before, near)
             best = min(best, abs(depth - near) / sigma)
+            apart = min(apart, abs(entry - near) / sigma)
         other = meetings.chain[other]
-    return before, best
+    return before, best, apart
 
 
 @kernel

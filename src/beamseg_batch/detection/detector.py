@@ -102,7 +102,7 @@ class Detector:
         found: list[Segment] = []
         for radius in sorted(self.config.filtering.radii, reverse=True):
             cloud = voxel_grid(points, self.config.filtering.leaf_size(radius))
-            found += self._search(cloud, radius, Counter(), _StageClock(), _POOLED_PCA)[0]
+            found += self._search(cloud, radius, Counter(), _StageClock(), pooled=True)[0]
         return found
 
     def _search(
@@ -111,18 +111,19 @@ class Detector:
         radius: float,
         rejections: Counter[str],
         clock: _StageClock,
-        most_pca: float = 1.0,
+        pooled: bool = False,
     ) -> tuple[list[Segment], int]:
         """Lines of one radius, screened as they come until enough are kept.
 
         A refused line does not count towards `nlines`: walls and floor would use up the
-        limit before the beams are found.
+        limit before the beams are found. A pooled cloud shows more beams than a scan.
         """
         hough = self.config.detection.hough
         leaf_size = self.config.filtering.leaf_size(radius)
         screening = self.config.detection.screening
-        if screening.min_pca_coeff > most_pca:
-            screening = screening.model_copy(update={"min_pca_coeff": most_pca})
+        if pooled:
+            least = min(screening.min_pca_coeff, _POOLED_PCA)
+            screening = screening.model_copy(update={"min_pca_coeff": least})
         lines = iterative_hough(
             cloud,
             dx=hough.dx or self.config.filtering.diag_voxel(radius),
@@ -147,7 +148,7 @@ class Detector:
             else:
                 kept.append(verdict)
             clock.lap("screen")
-            if hough.nlines and len(kept) == hough.nlines:
+            if not pooled and hough.nlines and len(kept) == hough.nlines:
                 break
         clock.lap("search")
         return kept, num_lines

@@ -27,7 +27,8 @@ from beamseg_batch.structure.refinement import PassRules, refined
 
 __all__ = ["EvidenceStructure"]
 
-_SETTLED_M = 0.001
+_SETTLED_M = 0.005
+_MOST_SEARCHES = 3
 _BEHIND = 0.8  # radii from the visible surface to the axis, on average
 
 
@@ -79,7 +80,8 @@ class EvidenceStructure:
         self._candidates = Candidates(self._camera.sigma)
         self._beams: list[Beam] | None = None
         self._waiting = list(_FRESH)
-        self._searched = not config.refinement.leftovers
+        self._searches = 0
+        self._known = -1  # beams when leftovers were last searched
 
     def __len__(self) -> int:
         return len(self._candidates) if self._beams is None else len(self._beams)
@@ -98,8 +100,16 @@ class EvidenceStructure:
 
     @property
     def wants_leftovers(self) -> bool:
-        """Whether the beams explain what they can, so that it is time to search the rest."""
-        return not self._searched and not self._waiting
+        """Whether the beams explain what they can, so that it is time to search the rest.
+
+        What a search brings may hide what is left, so it is repeated while it pays.
+        """
+        return (
+            self.config.refinement.leftovers
+            and not self._waiting
+            and self._searches < _MOST_SEARCHES
+            and len(self._hypothesis()) > self._known
+        )
 
     def question(self) -> AxisQuestion:
         """Return what all rays of the flight should be asked next about the present beams."""
@@ -127,7 +137,8 @@ class EvidenceStructure:
         beams, kind = self._hypothesis(), self._next_pass()
         self._waiting = self._waiting[1:]
         self._beams = refined(beams, sums, self._camera.sigma, kind.rules)
-        return bool(self._waiting) or not self._searched or _have_moved(beams, self._beams)
+        more = bool(self._waiting) or self.wants_leftovers
+        return more or _have_moved(beams, self._beams)
 
     def _next_pass(self) -> _Pass:
         kind = self._waiting[0] if self._waiting else _SETTLING
@@ -151,7 +162,8 @@ class EvidenceStructure:
         found : iterable of (Segment, Leftovers)
             On the surface, world frame, and what it was found in.
         """
-        self._searched = True
+        self._searches += 1
+        self._known = len(self._hypothesis())
         candidates = Candidates(self._camera.sigma)
         for segment, left in found:
             away = segment.midpoint - left.seen_from
