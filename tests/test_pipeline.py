@@ -18,6 +18,7 @@ from beamseg_batch.errors import ConfigError, NoScansError, RecordingError, Shap
 from beamseg_batch.geometry import RigidTransform, angle_between_deg, distances_to_line
 from beamseg_batch.model import STAGES, RecordingInfo, Scan, SkippedScan, Trajectory
 from beamseg_batch.pipeline import process_flight
+from beamseg_batch.recording import open_recording
 from tests.rays import pose_at, scan_points
 
 BEAMS = [([1.0, -0.9, 0.9], [1.0, 0.9, 0.9], 0.05), ([1.0, 0.2, 0.35], [1.0, 0.2, 1.8], 0.05)]
@@ -293,10 +294,35 @@ def test_process_flight__other_errors_are_not_swallowed(run, scans):
         run([*scans[:2], ZeroDivisionError("a bug")])
 
 
+# --- several jobs -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("profile", ["report", "precise"])
+def test_process_flight__any_number_of_jobs_gives_the_same(profile):
+    config = load_config(profile, overrides=["recording.max_scans=60"])
+    watchers = [Watcher(), Watcher(), Watcher()]
+    one, *others = (
+        process_flight(open_recording(SAMPLE), config, jobs=jobs, progress=watcher)
+        for jobs, watcher in zip((1, 2, 3), watchers, strict=True)
+    )
+    assert len(one.segments) >= 2
+    for other in others:
+        assert content(other) == content(one)
+        assert all(tuple(record.stage_us) == STAGES for record in other.scans)
+    assert watchers[0] == watchers[1] == watchers[2]
+
+
+def test_process_flight__damage_far_on_keeps_the_same_with_several_jobs(run, scans):
+    damage = RecordingError("flight.mcap: cannot be read any further")
+    assert content(run([*scans[:7], damage], jobs=2)) == content(run([*scans[:7], damage]))
+
+
+# --- compiled code ----------------------------------------------------------------------
+
 AFTER_WARM_UP = """
 import sys
 from beamseg_batch import load_config, open_recording, process_flight
-from beamseg_batch.pipeline import _warm_up
+from beamseg_batch.pipeline import warm_up
 
 def compiled():
     found = {}
@@ -308,7 +334,7 @@ def compiled():
     return found
 
 config = load_config(sys.argv[2])
-_warm_up(config)
+warm_up(config)
 before = compiled()
 process_flight(open_recording(sys.argv[1]), config)
 assert compiled() == before, {k: v for k, v in compiled().items() if v != before.get(k)}

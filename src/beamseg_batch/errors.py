@@ -21,6 +21,7 @@ __all__ = [
     "ShapeError",
     "TopicError",
     "TruthError",
+    "WorkerError",
     "WorldError",
 ]
 
@@ -90,6 +91,10 @@ class OutputError(BeamsegError, OSError):
 
 class RunError(BeamsegError, ValueError):
     """A finished run cannot be read back from its folder."""
+
+
+class WorkerError(BeamsegError, RuntimeError):
+    """A worker process ended, or could not be started."""
 
 
 class WorldError(BeamsegError, ValueError):

@@ -91,7 +91,8 @@ class Scan:
     T_world_body, T_body_sensor : RigidTransform
         The matched pose, and where the camera sits on the drone.
     points : (N, 3) float32 or float64, metres, sensor frame
-        All pixels in message order; a pixel without return is NaN or infinite.
+        All pixels in message order, contiguous and read-only; a pixel without return is NaN
+        or infinite.
     width, height : int
         Pixels; ``height`` is 1 for a cloud that is not organised.
     read_us : float

@@ -6,6 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Protocol
 
@@ -13,7 +14,7 @@ import numpy as np
 
 from beamseg_batch.config import RunConfig
 from beamseg_batch.detection import DEFAULT_NOISE, Detector, depth_noise
-from beamseg_batch.errors import BeamsegError, NoScansError
+from beamseg_batch.errors import BeamsegError, NoScansError, WorkerError
 from beamseg_batch.geometry import RigidTransform
 from beamseg_batch.model import (
     DepthNoise,
@@ -21,11 +22,15 @@ from beamseg_batch.model import (
     FlightResult,
     Scan,
     ScanRecord,
+    Segment,
     SkippedScan,
 )
+from beamseg_batch.parallel import Workers
 from beamseg_batch.recording import Flight, Recording, open_flight
 from beamseg_batch.structure import (
     EvidenceStructure,
+    LeftoverQuestion,
+    Leftovers,
     Structure,
     ThinnedCloud,
     intersections_of,
@@ -34,8 +39,10 @@ from beamseg_batch.structure import (
 )
 
 _SCANS_A_BATCH = 25
+_SCANS_SENT = 5
+"""Scans that are sent to a worker at a time in the first pass."""
 
-__all__ = ["Progress", "process_flight"]
+__all__ = ["Progress", "process_flight", "warm_up"]
 
 
 class Progress(Protocol):
@@ -60,6 +67,7 @@ def process_flight(
     recording: Recording,
     config: RunConfig,
     *,
+    jobs: int = 1,
     progress: Progress | None = None,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> FlightResult:
@@ -71,6 +79,9 @@ def process_flight(
         As `beamseg_batch.recording.open_recording` gives it.
     config : RunConfig
         As `beamseg_batch.config.load_config` gives it.
+    jobs : int, optional
+        Processes that search the scans and ask their rays; 0 for as many as there are
+        cores. The result does not depend on it, only the time it takes.
     progress : Progress, optional
     should_stop : callable, optional
         Asked after every scan; when true, the result is what is known by then, marked
@@ -80,14 +91,17 @@ def process_flight(
     -------
     FlightResult
         Also marked as interrupted when the recording turns out to be damaged further on,
-        or a value not to fit a later scan: what is known by then is not lost.
+        a value not to fit a later scan, or a worker process ends: what is known by then is
+        not lost.
 
     Raises
     ------
     RecordingError
         If the recording has no fitting topics, or no scan of it can be used.
     ConfigError
-        If a value does not fit the first scan.
+        If a value does not fit the first scan, or `jobs` is negative.
+    WorkerError
+        If a worker process ends before the first scan is done.
 
     Notes
     -----
@@ -95,36 +109,70 @@ def process_flight(
     sorting, frame conversion, fusion, intersections; then what these make, joints and members.
     """
     progress = progress or _NobodyWatches()
-    flight = open_flight(recording, config)
-    _warm_up(config)
-    noise = _noise(flight, config)
-    detect = Detector(config, noise)
-    structure = _structure(config, noise)
-    log = _FlightLog(config)
-    passes = config.refinement.passes if isinstance(structure, EvidenceStructure) else 0
-    stopped = False
-    progress.begin(flight.n_clouds * (1 + passes))
+    with Workers(jobs) as workers:
+        flight = open_flight(recording, config)
+        warm_up(config)
+        noise = _noise(flight, config)
+        detect = Detector(config, noise)
+        structure = _structure(config, noise)
+        log = _FlightLog(config)
+        passes = config.refinement.passes if isinstance(structure, EvidenceStructure) else 0
+        progress.begin(flight.n_clouds * (1 + passes))
+        try:
+            workers.start(warm_up, config)
+            stopped = _detect(structure, detect, flight, workers, log, progress, should_stop)
+            if isinstance(structure, EvidenceStructure) and not stopped:
+                _refine(structure, detect, flight, passes, workers, log, progress, should_stop)
+        except WorkerError as error:
+            if not log.scans:
+                raise
+            log.stop(str(error))
+    log.check_used(flight)
+    return log.result(flight, structure)
+
+
+def _detect(
+    structure: Structure | EvidenceStructure,
+    detect: Detector,
+    flight: Flight,
+    workers: Workers,
+    log: _FlightLog,
+    progress: Progress,
+    should_stop: Callable[[], bool],
+) -> bool:
+    """Find the segments of every scan; return whether a stop was asked for."""
     try:
-        for scan in flight.scans():
+        for scan, detections in workers.map(_ScanSearch(detect), flight.scans(), _SCANS_SENT):
             if isinstance(scan, SkippedScan):
                 log.skip(scan)
-            else:
-                detections = detect(scan)
+            elif detections is not None:
                 start = time.perf_counter()
-                structure.update(detections)
+                structure.update(replace(detections, scan=scan))
                 log.add(detections, (time.perf_counter() - start) * 1e6, len(structure))
             progress.step(len(structure))
-            if stopped := should_stop():
+            if should_stop():
                 log.stop(f"interrupted after {log.n_clouds} of {flight.n_clouds} clouds")
-                break
+                return True
+    except WorkerError:
+        raise
     except BeamsegError as error:
         if not log.scans:
             raise
         log.stop(str(error))
-    if isinstance(structure, EvidenceStructure) and not stopped:
-        _refine(structure, detect, flight, passes, log, progress, should_stop)
-    log.check_used(flight)
-    return log.result(flight, structure)
+    return False
+
+
+@dataclass(frozen=True)
+class _ScanSearch:
+    """What a worker does with a scan; its points are not sent back."""
+
+    detect: Detector
+
+    def __call__(self, scan: Scan | SkippedScan) -> Detections | None:
+        if isinstance(scan, SkippedScan):
+            return None
+        detections = self.detect(scan)
+        return replace(detections, scan=replace(scan, points=scan.points[:0]))
 
 
 def _refine(
@@ -132,6 +180,7 @@ def _refine(
     detect: Detector,
     flight: Flight,
     passes: int,
+    workers: Workers,
     log: _FlightLog,
     progress: Progress,
     should_stop: Callable[[], bool],
@@ -139,11 +188,13 @@ def _refine(
     """Ask all rays of the flight about the beams found so far, pass by pass."""
     for number in range(passes):
         if structure.wants_leftovers:
-            _search_leftovers(structure, detect, flight)
+            _search_leftovers(structure, detect, flight, workers)
         question = structure.question()
         sums = question.sums()
-        for scans in _batches(_watched(_usable(flight), progress, len(structure))):
-            sums.add(question.ask(scans))
+        for scans, answer in workers.map(question.ask, _batches(flight)):
+            sums.add(answer)
+            for _ in scans:
+                progress.step(len(structure))
         if not structure.renew(sums):
             break
         if should_stop():
@@ -151,21 +202,39 @@ def _refine(
             return
     if passes and flight.config.refinement.ends:
         ends = structure.end_question()
-        structure.set_ends(sum(map(ends.ask, _batches(_usable(flight))), start=ends.sums()))
+        likelihood = ends.sums()
+        for _, answered in workers.map(ends.ask, _batches(flight)):
+            likelihood += answered
+        structure.set_ends(likelihood)
 
 
-def _search_leftovers(structure: EvidenceStructure, detect: Detector, flight: Flight) -> None:
+def _search_leftovers(
+    structure: EvidenceStructure, detect: Detector, flight: Flight, workers: Workers
+) -> None:
     """Look for beams that no scan alone shows, among what the others leave unexplained."""
-    question = structure.leftover_question()
+    search = _LeftoverSearch(structure.leftover_question(), detect)
     structure.propose(
         (segment, left)
-        for left in map(question.ask, _batches(_usable(flight)))
-        for segment in detect.in_cloud(left.points)
+        for _, (left, segments) in workers.map(search, _batches(flight))
+        for segment in segments
     )
 
 
-def _batches(scans: Iterator[Scan]) -> Iterator[list[Scan]]:
+@dataclass(frozen=True)
+class _LeftoverSearch:
+    """What a worker does with scans to find what no beam explains; no points are sent back."""
+
+    question: LeftoverQuestion
+    detect: Detector
+
+    def __call__(self, scans: list[Scan]) -> tuple[Leftovers, list[Segment]]:
+        left = self.question.ask(scans)
+        return replace(left, points=left.points[:0]), self.detect.in_cloud(left.points)
+
+
+def _batches(flight: Flight) -> Iterator[list[Scan]]:
     """So many scans at a time, whatever the number of processes: sums depend on it."""
+    scans = _usable(flight)
     while batch := list(islice(scans, _SCANS_A_BATCH)):
         yield batch
 
@@ -176,12 +245,6 @@ def _usable(flight: Flight) -> Iterator[Scan]:
         for scan in flight.scans():
             if isinstance(scan, Scan):
                 yield scan
-
-
-def _watched(scans: Iterator[Scan], progress: Progress, n_segments: int) -> Iterator[Scan]:
-    for scan in scans:
-        yield scan
-        progress.step(n_segments)
 
 
 def _noise(flight: Flight, config: RunConfig) -> DepthNoise:
@@ -197,7 +260,7 @@ def _structure(config: RunConfig, noise: DepthNoise) -> Structure | EvidenceStru
     return Structure(config)
 
 
-def _warm_up(like: RunConfig) -> None:
+def warm_up(like: RunConfig) -> None:
     """Load or compile every kernel, so that no scan's time contains it.
 
     A made-up scan of two beams that cross is detected and fused twice; nothing of it is

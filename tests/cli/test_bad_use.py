@@ -397,6 +397,8 @@ def test_output__is_the_ros2_bag(refused, ros2_bag, here, extra):
         ["config", "nix"],
         ["run", "--nope", "x"],
         ["run", "x", "-o"],
+        ["run", "x", "--jobs", "-1"],
+        ["run", "x", "-j", "many"],
         ["--nope"],
         ["rn", "x"],
     ],

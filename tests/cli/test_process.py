@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -16,6 +17,7 @@ COMMAND = (sys.executable, "-m", "beamseg_batch")
 LIGHT = ("--set", "outputs.report=false")
 INTERRUPTED = 130
 FULL = Path("/dev/full")
+SAMPLE = Path(__file__).parents[2] / "data" / "samples" / "arena.mcap"
 
 # Ctrl-C as the user gives it: a signal to the process, after a given number of clouds.
 INTERRUPTING = """
@@ -35,6 +37,12 @@ def step(self, n_segments):
 ScanProgress.step = step
 main()
 """
+
+
+# A worker process is killed after a given number of clouds.
+KILLING = INTERRUPTING.replace(
+    "os.kill(os.getpid(), signal.SIGINT)", "multiprocessing.active_children()[0].kill()"
+).replace("import os, signal", "import multiprocessing")
 
 
 def run(*arguments, **options) -> subprocess.CompletedProcess[str]:
@@ -112,6 +120,45 @@ def test_interrupt__json_is_all_there_is_on_stdout(flight, here):
     done = run(sys.executable, "-c", INTERRUPTING, 2, 1, *arguments)
     assert done.returncode == INTERRUPTED
     assert json.loads(done.stdout)["interrupted"] is True
+
+
+@pytest.mark.parametrize("jobs", [2, 3])
+def test_interrupt__leaves_what_is_known_with_several_jobs(flight, here, jobs):
+    arguments = ("run", flight, "-o", "out", "-j", jobs, *LIGHT)
+    done = run(sys.executable, "-c", INTERRUPTING, 3, 1, *arguments)
+    assert done.returncode == INTERRUPTED
+    assert done.stderr.count("interrupted after 3 of 6 clouds") == 1
+    assert read_run(here / "out.partial").summary["counts"]["processed"] == 3
+
+
+def test_interrupt__twice_stops_at_once_with_several_jobs(flight, here):
+    arguments = ("run", flight, "-o", "out", "-j", 2, *LIGHT)
+    done = run(sys.executable, "-c", INTERRUPTING, 3, 2, *arguments)
+    assert done.returncode == INTERRUPTED
+    assert done.stderr.splitlines()[-1] == "beamseg: interrupted"
+    assert list(here.iterdir()) == []
+
+
+# A worker that ends
+
+
+@pytest.mark.parametrize(("profile", "clouds"), [("report", 3), ("precise", 110)])
+def test_dead_worker__leaves_what_is_known(here, profile, clouds):
+    arguments = ("run", SAMPLE, "-o", "out", "-j", 2, "--profile", profile, *LIGHT)
+    done = run(sys.executable, "-c", KILLING, clouds, 1, *arguments, timeout=60)
+    assert done.returncode == 1
+    assert "of 2 ended unexpectedly, killed by signal SIGKILL" in done.stderr.splitlines()[-1]
+    assert [path.name for path in here.iterdir()] == ["out.partial"]
+    assert read_run(here / "out.partial").summary["interrupted"] is True
+
+
+def test_killed__leaves_no_process(here):
+    """Nobody holds the other end of its stderr any more, else this would not end."""
+    killed = INTERRUPTING.replace("SIGINT", "SIGKILL")
+    arguments = ("run", SAMPLE, "-o", "out", "-j", 2, *LIGHT)
+    done = run(sys.executable, "-c", killed, 3, 1, *arguments, timeout=60)
+    assert done.returncode == -signal.SIGKILL
+    assert list(here.iterdir()) == []
 
 
 def test_interrupt__while_reading(flight, here):

@@ -42,6 +42,15 @@ def test_run__finds_the_beam(ok, flight):
     assert beam.n_scans == 6
 
 
+def test_run__any_number_of_jobs_writes_the_same(ok, flight):
+    for jobs in (1, 2):
+        ok("run", flight, "-o", f"out{jobs}", "--jobs", jobs)
+    one, two = (read_run(Path(f"out{jobs}")) for jobs in (1, 2))
+    assert one.summary["results_sha256"] == two.summary["results_sha256"]
+    for name in ("segments.csv", "intersections.csv", "config.yaml"):
+        assert (one.folder / name).read_bytes() == (two.folder / name).read_bytes()
+
+
 def test_run__sums_up_on_stdout_and_logs_on_stderr(ok, flight):
     result = ok("run", flight, "-o", "out")
     assert [line.split()[0] for line in result.stdout.splitlines()] == [

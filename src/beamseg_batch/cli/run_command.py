@@ -44,6 +44,14 @@ __all__ = ["command"]
     help="Where the results go; by default a folder named after the flight.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace the files of an earlier run there.")
+@click.option(
+    "-j",
+    "--jobs",
+    metavar="N",
+    type=click.IntRange(0, 256),
+    default=1,
+    help="Processes that share the work; 0 for all cores. The results are the same.",
+)
 @config_options
 @click.option("--json", "as_json", is_flag=True, help="Print summary.json on stdout.")
 @verbosity_options
@@ -51,6 +59,7 @@ def command(
     recording: tuple[Path, ...],
     output: Path | None,
     overwrite: bool,
+    jobs: int,
     options: ConfigOptions,
     as_json: bool,
     verbose: bool,
@@ -67,14 +76,21 @@ def command(
     Examples:
       beamseg run flight.mcap
       beamseg run flight.bag -o out --profile report
+      beamseg run flight.mcap --jobs 4
       beamseg run flight.mcap --extrinsic 0.071,0.011,0.04 --set filtering.radii=[0.1]
 
     Ctrl-C finishes the scan in hand and leaves what is known in FOLDER.partial.
     """  # noqa: D301 (click reads the backspace)
+    from beamseg_batch.parallel import load_ahead, one_thread_each
+
+    one_thread_each()
+    config = options.load()
+    if jobs != 1:
+        load_ahead()
+
     from beamseg_batch.outputs import check_output
     from beamseg_batch.recording import open_recording
 
-    config = options.load()
     level = 0 if quiet else 2 if verbose else config.outputs.verbosity
     opened = open_recording(list(recording), config.recording)
     folder = _output_folder(recording, output, config)
@@ -86,7 +102,9 @@ def command(
 
     begin_work()
     with stop_on_interrupt() as stop_asked, ScanProgress(enabled=level >= 1) as progress:
-        result = process_flight(opened, config, progress=progress, should_stop=stop_asked)
+        result = process_flight(
+            opened, config, jobs=jobs, progress=progress, should_stop=stop_asked
+        )
         asked = stop_asked()
     _tell(result, level)
     written = _write(result, folder, overwrite)

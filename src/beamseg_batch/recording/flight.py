@@ -11,6 +11,7 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
+from numpy.typing import NDArray
 
 from beamseg_batch.config import RunConfig
 from beamseg_batch.errors import NoScansError, RecordingError
@@ -203,7 +204,7 @@ class Flight:
             pose_stamp_ns=match.stamp_ns,
             T_world_body=match.T_world_body,
             T_body_sensor=self.extrinsic.T_body_sensor,
-            points=cloud.points,
+            points=_as_one_kind(cloud.points),
             width=cloud.width,
             height=cloud.height,
             read_us=(perf_counter() - start) * 1e6,
@@ -223,6 +224,13 @@ class Flight:
         # Log time: header stamps may come from another clock than the recording's span.
         where = f"cloud at {self.recording.seconds(raw.log_time_ns):.3f} s"
         return SkippedScan(index, stamp_ns, reason, f"{where}: {detail}")
+
+
+def _as_one_kind(points: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Points in one piece that cannot be written, since kernels are compiled for each kind."""
+    points = np.ascontiguousarray(points)
+    points.flags.writeable = False
+    return points
 
 
 def open_flight(recording: Recording, config: RunConfig) -> Flight:

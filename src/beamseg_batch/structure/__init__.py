@@ -1,14 +1,17 @@
-"""Segments -> structure: fused as they come, or as hypotheses that all rays are asked about."""
+"""Segments into the structure of a flight."""
 
 from beamseg_batch.structure.cloud import ThinnedCloud
 from beamseg_batch.structure.evidence import EvidenceStructure
 from beamseg_batch.structure.intersections import intersections_of
 from beamseg_batch.structure.joints import joints_of
 from beamseg_batch.structure.members import members_of
+from beamseg_batch.structure.questions import LeftoverQuestion, Leftovers
 from beamseg_batch.structure.structure import Structure
 
 __all__ = [
     "EvidenceStructure",
+    "LeftoverQuestion",
+    "Leftovers",
     "Structure",
     "ThinnedCloud",
     "intersections_of",
