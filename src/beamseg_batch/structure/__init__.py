@@ -1,4 +1,4 @@
-"""Segments into the structure of a flight."""
+"""Segments -> structure: fused as they come, or as hypotheses that all rays are asked about."""
 
 from beamseg_batch.structure.cloud import ThinnedCloud
 from beamseg_batch.structure.evidence import EvidenceStructure
