@@ -41,6 +41,7 @@ from beamseg_batch.recording.frames import (
     read_static_tree,
     tree_of,
 )
+from beamseg_batch.recording.kept_scans import KeptScans
 from beamseg_batch.recording.matching import match_pose, nearest_gaps
 from beamseg_batch.recording.pose_arrays import resampled
 from beamseg_batch.recording.pose_files import read_pose_file
@@ -112,6 +113,10 @@ class Flight:
         return self.selection.count(self.recording, self.clouds.topic)
 
     @cached_property
+    def _kept(self) -> KeptScans:
+        return KeptScans()
+
+    @cached_property
     def _clocks(self) -> PoseClocks:
         read_clouds = partial(read_cloud_stamps, self.recording, self.clouds.topic, self.config)
         return PoseClocks(self.epochs, read_clouds)
@@ -168,6 +173,9 @@ class Flight:
         RecordingError
             If the file cannot be read any further.
         """
+        yield from self._kept.reading(self._read_scans())
+
+    def _read_scans(self) -> Iterator[Scan | SkippedScan]:
         start = perf_counter()
         topic = self.clouds.topic
         reader = CloudReader(self.recording, topic, self.config.sensor, self.axis.is_z)
