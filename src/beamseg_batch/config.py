@@ -157,6 +157,9 @@ class FilteringConfig(Node):
     floor_trim: Literal["points", "segment", "none"] = "points"
     """points: drop points below the height before the search (section 4.1);
     segment: drop segments with an end below it (section 3.2.5); none: keep all."""
+    foreground: Literal["thin", "all"] = "thin"
+    """thin: search only returns on both sides of which the view goes on further back within the
+    width of a beam, in clouds with rows and columns: no floor, no wall; all: every return."""
     radii: Annotated[tuple[Positive, ...], Field(min_length=1)] = (0.05,)
     """Radii of the beams to look for, metres; searched from the largest to the smallest."""
     rad_2_leaf_ratio: Positive = 1.5
@@ -259,7 +262,7 @@ class StructureConfig(Node):
 class RefinementConfig(Node):
     """Further passes over the recording, with structure.fusion: evidence."""
 
-    passes: Annotated[int, Field(ge=0, le=100)] = 12
+    passes: Annotated[int, Field(ge=0, le=100)] = 20
     """How often, at most, the recording is read again to ask all rays about the beams found so
     far; it ends when nothing moves."""
     competition: bool = True

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -109,12 +110,16 @@ class Scan:
     height: int
     read_us: float = 0.0
 
+    def with_points(self, points: NDArray[np.floating]) -> Scan:
+        """Return the same scan with other returns."""
+        return replace(self, points=points)
+
     @property
     def pose_gap_s(self) -> float:
         """Time from the nearest pose message to the cloud, in seconds, never negative."""
         return abs(self.stamp_ns - self.pose_stamp_ns) * 1e-9
 
-    @property
+    @cached_property
     def T_world_sensor(self) -> RigidTransform:
         """Transform from the sensor frame to the world frame."""
         return self.T_world_body @ self.T_body_sensor

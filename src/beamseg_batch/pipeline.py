@@ -15,6 +15,7 @@ import numpy as np
 from beamseg_batch.config import RunConfig
 from beamseg_batch.detection import DEFAULT_NOISE, Detector, depth_noise
 from beamseg_batch.errors import BeamsegError, NoScansError, WorkerError
+from beamseg_batch.foreground import thin_foreground
 from beamseg_batch.geometry import RigidTransform
 from beamseg_batch.model import (
     DepthNoise,
@@ -299,6 +300,8 @@ def warm_up(like: RunConfig) -> None:
             structure.renew(sums)
         structure.set_ends(structure.end_question().ask([scan]))
         structure.leftover_question().ask([scan])
+    if like.filtering.foreground == "thin":
+        thin_foreground(replace(scan, width=16, height=10), 0.05, 1.5, DEFAULT_NOISE)
     intersections_of(detections.segments, config.structure.intersections)
     ThinnedCloud(len(beams), 0.1).add(detections.cloud)
 

@@ -17,6 +17,7 @@ from beamseg_batch.structure.refinement import (
     refined,
     refit,
     stands_free,
+    without_collisions,
     without_duplicates,
 )
 
@@ -294,3 +295,18 @@ def test_refined__beams_apart_do_not_wait_for_one_another(other):
 def test_refined__what_was_unlikely_before_does_not_wait():
     poor = [replace(GOOD, score=200.0), replace(GOOD, score=100.0)]
     assert refined(poor, Sums(poor), NOISE, PassRules()) == []
+
+
+@pytest.mark.parametrize(
+    ("other", "count"),
+    [
+        (beam([0.1, 0.07, 0], [0.9, 0.09, 0], score=900.0), 1),  # in the same place
+        (beam([0.1, 0.15, 0], [0.9, 0.15, 0], score=900.0), 2),  # beside it
+        (beam([0.5, -0.5, 0.05], [0.5, 0.5, 0.05], score=900.0), 2),  # across
+        (beam([0.8, 0.05, 0], [1.8, 0.05, 0], score=900.0), 2),  # mostly further on
+    ],
+)
+def test_without_collisions__two_beams_do_not_share_their_place(other, count):
+    kept = without_collisions([other, GOOD])
+    assert len(kept) == count
+    assert kept[0] is GOOD

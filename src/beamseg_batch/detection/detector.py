@@ -10,9 +10,10 @@ import numpy as np
 
 from beamseg_batch.config import RunConfig
 from beamseg_batch.detection.axis import Returns, fit_segment_axis
-from beamseg_batch.detection.filtering import crop_scan, voxel_grid
+from beamseg_batch.detection.filtering import CroppedCloud, crop_scan, voxel_grid
 from beamseg_batch.detection.hough import iterative_hough
 from beamseg_batch.detection.screening import Rejection, screen
+from beamseg_batch.foreground import thin_foreground
 from beamseg_batch.geometry import FloatArray, RigidTransform, distances_to_line, line_parameters
 from beamseg_batch.model import DepthNoise, Detections, Scan, Segment
 from beamseg_batch.noise import DEFAULT_NOISE
@@ -50,14 +51,15 @@ class Detector:
         """
         clock = _StageClock()
         cropped = crop_scan(scan, self.config.filtering)
+        candidates = self._foreground(scan, cropped)
         rejections: Counter[str] = Counter()
         found: list[Segment] = []
         clouds: list[FloatArray] = []
-        left, num_lines = cropped.points, 0
+        left, num_lines = candidates, 0
         clock.lap("filter")
         for radius in sorted(self.config.filtering.radii, reverse=True):
             if found:
-                left = self._unclaimed(cropped.points, found)
+                left = self._unclaimed(candidates, found)
             cloud = voxel_grid(left, self.config.filtering.leaf_size(radius))
             clouds.append(cloud)
             clock.lap("filter")
@@ -82,6 +84,14 @@ class Detector:
             cloud=T_world_sensor.apply(clouds[0]).astype(np.float32),
             stage_us={"read": scan.read_us, **clock.stage_us},
         )
+
+    def _foreground(self, scan: Scan, cropped: CroppedCloud) -> FloatArray:
+        """Points of the cropped cloud that are searched."""
+        filtering = self.config.filtering
+        if filtering.foreground == "all":
+            return cropped.points
+        thin = thin_foreground(scan, max(filtering.radii), filtering.window.x[1], self.noise)
+        return cropped.points if thin is scan else crop_scan(thin, filtering).points
 
     def in_cloud(self, points: FloatArray) -> list[Segment]:
         """Find the segments of a cloud pooled from several scans.

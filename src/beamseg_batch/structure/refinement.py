@@ -62,6 +62,7 @@ def refined(beams: Sequence[Beam], sums: Sums, noise: float, rules: PassRules) -
         refused += [] if likely else [beam]
     found += _outdone(refused) if rules.drop else []
     found = without_duplicates(found) if rules.merge else found
+    found = without_collisions(found) if rules.drop else found
     return snapped(found) if rules.snap else found
 
 
@@ -229,6 +230,32 @@ def without_duplicates(beams: Sequence[Beam]) -> list[Beam]:
         else:
             kept.append(beam)
     return kept
+
+
+def without_collisions(beams: Sequence[Beam]) -> list[Beam]:
+    """Drop beams that run inside a likelier one: two solids cannot share their place.
+
+    Several beams side by side may each explain a part of a plate, and one another's
+    surroundings, so that each seems to stand free.
+    """
+    kept: list[Beam] = []
+    for beam in sorted(beams, key=lambda one: -one.score):
+        if not any(_collide(beam, other) for other in kept):
+            kept.append(beam)
+    return kept
+
+
+def _collide(beam: Beam, other: Beam) -> bool:
+    if abs(float(beam.direction @ other.direction)) < np.cos(np.radians(20.0)):
+        return False
+    shorter, longer = sorted((beam, other), key=lambda one: one.length)
+    _, overlap, low, high = _apart(longer, shorter)
+    middle = 0.5 * (max(low, longer.first) + min(high, longer.last))
+    point = longer.at(middle)
+    offset = point - shorter.anchor
+    offset -= (offset @ shorter.direction) * shorter.direction
+    together = beam.radius + other.radius
+    return overlap > 0.5 * shorter.length and float(np.linalg.norm(offset)) < together
 
 
 def _union(one: Beam, other: Beam) -> Beam | None:
