@@ -136,7 +136,8 @@ class EvidenceStructure:
         """
         beams, kind = self._hypothesis(), self._next_pass()
         self._waiting = self._waiting[1:]
-        self._beams = refined(beams, sums, self._camera.sigma, kind.rules)
+        radii = self.config.filtering.radii
+        self._beams = refined(beams, sums, self._camera.sigma, kind.rules, radii)
         more = bool(self._waiting) or self.wants_leftovers
         return more or _have_moved(beams, self._beams)
 

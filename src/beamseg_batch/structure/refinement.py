@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,6 +26,7 @@ LEAST_LENGTH = 0.18
 TRIM_A_HIT = 0.1
 MOST_ATTACHED = 0.45
 FEWEST_BESIDE = 20.0
+_CLASS_SIGMAS = 2.0
 _OWN_SCANS = 5  # scans' worth of trust in rays that are independent
 # Of Tukey's weight w at 4 sigmas, for normal residuals e: mean of d(w e)/de and of (w e)**2,
 # both over the mean of w, which the normal equations hold.
@@ -51,12 +52,24 @@ class PassRules:
     snap: bool = False
 
 
-def refined(beams: Sequence[Beam], sums: Sums, noise: float, rules: PassRules) -> list[Beam]:
-    """Make the next hypothesis of the evidence about the present one."""
+def refined(
+    beams: Sequence[Beam],
+    sums: Sums,
+    noise: float,
+    rules: PassRules,
+    radii: Sequence[float] = (),
+) -> list[Beam]:
+    """Make the next hypothesis of the evidence about the present one.
+
+    A beam takes the one of `radii` that its rays show, where they show it clearly.
+    """
     found: list[Beam] = []
     refused: list[Beam] = []
     for index, beam in enumerate(beams):
-        parts = _renewed(beam, index, sums, noise, rules)
+        parts = [
+            refit(part, index, low, high, sums, radii)
+            for part, low, high in _renewed(beam, index, sums, noise, rules)
+        ]
         likely = [part for part in parts if not rules.drop or is_likely(part)]
         found += likely
         refused += [] if likely else [beam]
@@ -104,7 +117,10 @@ def stands_free(beam: Beam) -> bool:
     return bool(np.all(~known | (occupied <= MOST_ATTACHED * (occupied + free))))
 
 
-def _renewed(beam: Beam, index: int, sums: Sums, noise: float, rules: PassRules) -> list[Beam]:
+def _renewed(
+    beam: Beam, index: int, sums: Sums, noise: float, rules: PassRules
+) -> list[tuple[Beam, float, float]]:
+    """Beams that become of one, each with the stretch of its axis that it is on."""
     evidence = sums.evidence
     likelihood, hits = sums.fine(index)
     stretches = best_intervals(likelihood, INTERVAL_COST)
@@ -130,26 +146,19 @@ def _renewed(beam: Beam, index: int, sums: Sums, noise: float, rules: PassRules)
             profile_start=float(sums.starts[index]),
         )
         low, high = sums.place(index, begin), sums.place(index, end)
-        beams += _split_or_refit(part, index, low, high, sums, noise, rules)
+        place = bend(sums.coarse(index), sums, index, low, high, noise) if rules.split else None
+        if place is None:
+            beams.append((part, low, high))
+        else:
+            beams.append((part, low, min(high, place + 0.05)))
+            beams.append((part, max(low, place - 0.05), high))
     return beams
 
 
-def _split_or_refit(
-    beam: Beam, index: int, first: float, last: float, sums: Sums, noise: float, rules: PassRules
-) -> list[Beam]:
-    if rules.split:
-        place = bend(sums.coarse(index), sums, index, first, last, noise)
-        if place is not None:
-            low, high = max(first, place - 0.05), min(last, place + 0.05)
-            return [
-                refit(beam, index, first, high, sums),
-                refit(beam, index, low, last, sums),
-            ]
-    return [refit(beam, index, first, last, sums)]
-
-
-def refit(beam: Beam, index: int, first: float, last: float, sums: Sums) -> Beam:
-    """Move an axis to where the rays of a stretch put it."""
+def refit(
+    beam: Beam, index: int, first: float, last: float, sums: Sums, radii: Sequence[float] = ()
+) -> Beam:
+    """Move an axis to where the rays of a stretch put it, and take the radius that they show."""
     rows = sums.coarse(index)[sums.coarse_bins(index, first, last)]
     if rows[:, 14].sum() < 8:
         return beam.between(first, last)
@@ -158,6 +167,10 @@ def refit(beam: Beam, index: int, first: float, last: float, sums: Sums) -> Beam
     if not regular:
         return beam.between(first, last)
     chi2 = (rows[:, 13].sum() - right[:4] @ step) / rows[:, 15].sum()
+    known = _uncertainty(beam, matrix, right, sums.evidence.scatter[index])
+    radius = _class_of(beam.radius, known, radii)
+    if radius != beam.radius:
+        step, _ = solve_4(matrix[:4, :4], right[:4] - matrix[:4, 4] * (radius - beam.radius))
     step = np.clip(step, -0.05, 0.05)
     u, v = beam.normals
     direction = beam.direction + step[2] * u + step[3] * v
@@ -165,10 +178,21 @@ def refit(beam: Beam, index: int, first: float, last: float, sums: Sums) -> Beam
         beam,
         anchor=beam.anchor + step[0] * u + step[1] * v,
         direction=direction / np.linalg.norm(direction),
+        radius=radius,
         reduced_chi2=float(chi2),
-        **_uncertainty(beam, matrix, right, sums.evidence.scatter[index]),
+        **known,
     )
     return moved.between(first, last)
+
+
+def _class_of(radius: float, known: Mapping[str, Any], radii: Sequence[float]) -> float:
+    """Radius out of those that there are which is nearest to the measured one, if that is sure."""
+    if len(radii) < 2 or "free_radius" not in known:
+        return radius
+    apart = np.abs(np.asarray(radii) - known["free_radius"])
+    nearest = float(radii[int(np.argmin(apart))])
+    sure = 0.5 * abs(nearest - radius) > _CLASS_SIGMAS * known["sigma_radius"]
+    return nearest if sure else radius
 
 
 def _uncertainty(
