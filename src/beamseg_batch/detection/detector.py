@@ -126,7 +126,7 @@ class Detector:
         """Lines of one radius, screened as they come until enough are kept.
 
         A refused line does not count towards `nlines`: walls and floor would use up the
-        limit before the beams are found. A pooled cloud shows more beams than a scan.
+        limit before the beams are found.
         """
         hough = self.config.detection.hough
         leaf_size = self.config.filtering.leaf_size(radius)
@@ -158,7 +158,7 @@ class Detector:
             else:
                 kept.append(verdict)
             clock.lap("screen")
-            if not pooled and hough.nlines and len(kept) == hough.nlines:
+            if hough.nlines and len(kept) == hough.nlines:
                 break
         clock.lap("search")
         return kept, num_lines

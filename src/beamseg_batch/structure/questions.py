@@ -17,7 +17,6 @@ from beamseg_batch.cylinder.end_kernels import gather_ends
 from beamseg_batch.cylinder.evidence_kernels import gather
 from beamseg_batch.cylinder.meeting_kernels import Cylinders, Meetings, View
 from beamseg_batch.cylinder.ray_kernels import on_cylinders
-from beamseg_batch.foreground import thin_foreground
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import DepthNoise, Scan
 from beamseg_batch.structure.hypothesis import Answer, Beam, Sums
@@ -49,7 +48,6 @@ class Camera:
         trimmed = filtering.floor_trim != "none"
         self.floor = filtering.floor_trim_height if trimmed else -np.inf
         self.noise, self.pixels = noise, pixels
-        self._thickest = max(filtering.radii) if filtering.foreground == "thin" else None
 
     @property
     def sigma(self) -> float:
@@ -60,12 +58,6 @@ class Camera:
     def background(self) -> float:
         """Cost of a return that no beam explains, as half a squared residual."""
         return float(np.log(_RANGE_M / (self.sigma * np.sqrt(2.0 * np.pi))))
-
-    def foreground(self, scan: Scan) -> Scan:
-        """Return a scan with those returns that may show a beam."""
-        if self._thickest is None:
-            return scan
-        return thin_foreground(scan, self._thickest, float(self.high[0]), self.noise)
 
     def view(self, scan: Scan) -> View:
         """Return a scan as the kernels take it."""
@@ -257,7 +249,6 @@ class LeftoverQuestion:
     def _unexplained(self, scan: Scan) -> FloatArray:
         """Returns in the window and above the floor that lie on no beam, world frame."""
         camera, beams = self.camera, self._arrays
-        scan = camera.foreground(scan)
         points = np.asarray(scan.points, np.float64)
         inside = np.all((points >= camera.low) & (points <= camera.high), axis=1)
         world = scan.T_world_sensor.apply(points[inside])
