@@ -279,6 +279,8 @@ class RefinementConfig(Node):
     """Whether ends are drawn to the axes that pass by them."""
     leftovers: bool = True
     """Whether the returns that no beam explains are searched for further beams."""
+    radii: bool = True
+    """Whether every beam is tried with each of several radii, when all else has settled."""
     ends: bool = True
     """Whether a last pass measures where the ends are."""
 

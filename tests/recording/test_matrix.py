@@ -76,7 +76,9 @@ def segments_of():
     def found(scans):
         key = tuple(map(_bits, scans))
         if key not in known:
-            detect, structure = Detector(RunConfig()), Structure(RunConfig())
+            # Clouds with and without rows are searched alike.
+            config = RunConfig.model_validate({"filtering": {"foreground": "all"}})
+            detect, structure = Detector(config), Structure(config)
             for scan in scans:
                 structure.update(detect(scan))
             known[key] = structure.segments()

@@ -23,6 +23,7 @@ from beamseg_batch.structure.questions import (
     LeftoverQuestion,
     Leftovers,
 )
+from beamseg_batch.structure.radius_trial import RadiusTrial
 from beamseg_batch.structure.refinement import PassRules, refined
 
 __all__ = ["EvidenceStructure"]
@@ -82,6 +83,7 @@ class EvidenceStructure:
         self._waiting = list(_FRESH)
         self._searches = 0
         self._known = -1  # beams when leftovers were last searched
+        self._trial: RadiusTrial | None = None
 
     def __len__(self) -> int:
         return len(self._candidates) if self._beams is None else len(self._beams)
@@ -107,15 +109,17 @@ class EvidenceStructure:
         return (
             self.config.refinement.leftovers
             and not self._waiting
+            and self._trial is None
             and self._searches < _MOST_SEARCHES
             and len(self._hypothesis()) > self._known
         )
 
     def question(self) -> AxisQuestion:
         """Return what all rays of the flight should be asked next about the present beams."""
-        kind = self._next_pass()
+        trying = self._trial is not None and not self._trial.is_over
+        kind = replace(_SETTLING, flanks=False) if trying else self._next_pass()
         return AxisQuestion(
-            self._hypothesis(),
+            self._trial.beams if self._trial and trying else self._hypothesis(),
             self._camera,
             competitors=kind.competitors,
             tukey=kind.tukey,
@@ -134,12 +138,21 @@ class EvidenceStructure:
         bool
             Whether another pass would change anything.
         """
+        if self._trial and not self._trial.is_over:
+            if self._trial.take(sums):
+                self._beams = self._trial.winners()
+            return True
         beams, kind = self._hypothesis(), self._next_pass()
         self._waiting = self._waiting[1:]
         radii = self.config.filtering.radii
         self._beams = refined(beams, sums, self._camera.sigma, kind.rules, radii)
-        more = bool(self._waiting) or self.wants_leftovers
-        return more or _have_moved(beams, self._beams)
+        if self._waiting or self.wants_leftovers or _have_moved(beams, self._beams):
+            return True
+        wanted = self.config.refinement.radii and len(radii) > 1
+        if wanted and self._trial is None and self._beams:
+            self._trial = RadiusTrial(self._beams, radii)
+            return True
+        return False
 
     def _next_pass(self) -> _Pass:
         kind = self._waiting[0] if self._waiting else _SETTLING

@@ -44,6 +44,9 @@ class Beam:
     reduced_chi2 : float
     free_radius, sigma_radius : float, metres
         The radius, were it measured with the axis, and its standard deviation.
+    growth : (4,) float64
+        How the axis must move as the radius grows, to stay as near to the rays as it can:
+        offsets along `normals` a metre, and slopes.
     snapped : (bool, bool)
         Whether an end was drawn to another axis.
     sigma_ends : (2,) float64, metres
@@ -72,6 +75,7 @@ class Beam:
     reduced_chi2: float = 1.0
     free_radius: float = np.nan
     sigma_radius: float = np.nan
+    growth: FloatArray = field(default_factory=lambda: np.zeros(4))
     snapped: tuple[bool, bool] = (False, False)
     sigma_ends: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
     ends_seen: tuple[bool, bool] | None = None
@@ -93,6 +97,18 @@ class Beam:
     def ends(self) -> tuple[FloatArray, FloatArray]:
         """(3,), (3,) float64, metres: both ends."""
         return self.at(self.first), self.at(self.last)
+
+    def resized(self, radius: float) -> Beam:
+        """Return the beam with another radius, its axis moved so that it fits as well as it can."""
+        step = (radius - self.radius) * self.growth
+        u, v = self.normals
+        direction = self.direction + step[2] * u + step[3] * v
+        return replace(
+            self,
+            anchor=self.anchor + step[0] * u + step[1] * v,
+            direction=direction / np.linalg.norm(direction),
+            radius=radius,
+        )
 
     def bare(self) -> Beam:
         """Return the same beam without its profile, to be sent elsewhere."""

@@ -167,11 +167,10 @@ def refit(
     if not regular:
         return beam.between(first, last)
     chi2 = (rows[:, 13].sum() - right[:4] @ step) / rows[:, 15].sum()
+    growth, _ = solve_4(matrix[:4, :4], -matrix[:4, 4])
     known = _uncertainty(beam, matrix, right, sums.evidence.scatter[index])
     radius = _class_of(beam.radius, known, radii)
-    if radius != beam.radius:
-        step, _ = solve_4(matrix[:4, :4], right[:4] - matrix[:4, 4] * (radius - beam.radius))
-    step = np.clip(step, -0.05, 0.05)
+    step = np.clip(step + (radius - beam.radius) * growth, -0.05, 0.05)
     u, v = beam.normals
     direction = beam.direction + step[2] * u + step[3] * v
     moved = replace(
@@ -179,6 +178,7 @@ def refit(
         anchor=beam.anchor + step[0] * u + step[1] * v,
         direction=direction / np.linalg.norm(direction),
         radius=radius,
+        growth=growth,
         reduced_chi2=float(chi2),
         **known,
     )
