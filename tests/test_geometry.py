@@ -13,6 +13,7 @@ from beamseg_batch.geometry import (
     angle_between_deg,
     clusters,
     connected,
+    covariance_along,
     distances_to_line,
     interpolate_quaternion,
     line_parameters,
@@ -211,3 +212,12 @@ def test_clusters__chain_and_reach():
 
 def test_clusters__none():
     assert clusters(np.empty((0, 3)), np.empty(0)) == []
+
+
+@pytest.mark.parametrize("t", [-1.3, 0.0, 0.7])
+def test_covariance_along__is_that_of_the_sum(t):
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(6, 6))
+    covariance = root @ root.T
+    shift = np.hstack([np.eye(3), t * np.eye(3)])
+    np.testing.assert_allclose(covariance_along(covariance, t), shift @ covariance @ shift.T)

@@ -19,6 +19,7 @@ __all__ = [
     "angle_between_deg",
     "clusters",
     "connected",
+    "covariance_along",
     "distances_to_line",
     "interpolate_quaternion",
     "line_parameters",
@@ -58,6 +59,25 @@ def normalised(vector: FloatArray) -> FloatArray:
     if not length > 0.0:
         raise ShapeError("a vector of length zero has no direction")
     return np.asarray(vector, dtype=np.float64) / length
+
+
+def covariance_along(covariance: FloatArray, t: float) -> FloatArray:
+    """Covariance of a point of a line.
+
+    Parameters
+    ----------
+    covariance : (6, 6) float64
+        Of the line's anchor and direction.
+    t : float
+        The point is ``anchor + t * direction``.
+
+    Returns
+    -------
+    (3, 3) float64
+    """
+    both = covariance[:3, 3:]
+    found: FloatArray = covariance[:3, :3] + t * (both + both.T) + t * t * covariance[3:, 3:]
+    return found
 
 
 def line_parameters(points: FloatArray, anchor: FloatArray, direction: FloatArray) -> FloatArray:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamseg_batch.config import RunConfig
-from beamseg_batch.geometry import FloatArray, RigidTransform
+from beamseg_batch.geometry import FloatArray, RigidTransform, covariance_along
 
 __all__ = [
     "STAGES",
@@ -204,9 +204,7 @@ class Segment:
 
     def covariance_at(self, t: float) -> FloatArray:
         """(3, 3) float64, square metres: of the point of the axis at `t`; NaN if not known."""
-        shift = np.hstack([np.eye(3), t * np.eye(3)])
-        covariance: FloatArray = shift @ self.covariance @ shift.T
-        return covariance
+        return covariance_along(self.covariance, t)
 
     @property
     def sigma_offset(self) -> float:

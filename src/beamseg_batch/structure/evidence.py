@@ -57,11 +57,11 @@ class _Pass:
 _FRESH = (
     _Pass("none", 5.0, PassRules(drop=False)),
     _Pass("likelier", 5.0, PassRules(split=False)),
-    _Pass("all", 5.0, PassRules(), flanks=True),
+    _Pass("all", 5.0, PassRules(trimmed=True), flanks=True),
 )
 """Passes after new beams came: refit all, drop doubles, then let all compete."""
 
-_SETTLING = _Pass("all", 4.0, PassRules(cut=True, snap=True), flanks=True)
+_SETTLING = _Pass("all", 4.0, PassRules(cut=True, snap=True, trimmed=True), flanks=True)
 """The pass that is repeated until nothing moves."""
 
 
@@ -157,7 +157,7 @@ class EvidenceStructure:
     def _next_pass(self) -> _Pass:
         kind = self._waiting[0] if self._waiting else _SETTLING
         rules = {
-            name: allowed and getattr(self.config.refinement, name)
+            name: allowed and getattr(self.config.refinement, name, True)
             for name, allowed in vars(kind.rules).items()
         }
         competing = self.config.refinement.competition

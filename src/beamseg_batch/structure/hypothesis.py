@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from beamseg_batch.cylinder.evidence_kernels import COARSE, FINE, NORMAL_COLUMNS, Evidence
 from beamseg_batch.cylinder.ray_kernels import perpendiculars
-from beamseg_batch.geometry import FloatArray
+from beamseg_batch.geometry import FloatArray, covariance_along
 
 __all__ = ["Answer", "Beam", "Sums", "normal_matrix"]
 
@@ -134,11 +134,7 @@ class Beam:
 
     def covariance_at(self, s: float) -> FloatArray:
         """(3, 3) float64, square metres: of a point of the axis, across it."""
-        position, both, direction = (
-            self.covariance[:3, :3], self.covariance[:3, 3:], self.covariance[3:, 3:]
-        )  # fmt: skip
-        found: FloatArray = position + s * (both + both.T) + s * s * direction
-        return found
+        return covariance_along(self.covariance, s)
 
     def evidence_between(self, first: float, last: float) -> float:
         """Sum of the profile over a stretch of the axis."""

@@ -43,6 +43,8 @@ class PassRules:
         Whether beams are split at bends, dropped when the evidence is weak, merged when two
         are the same, cut into several where the evidence is interrupted, and drawn to the
         axes that they meet.
+    trimmed : bool
+        Whether all beams competed, so that none reaches far into its neighbour.
     """
 
     split: bool = True
@@ -50,6 +52,7 @@ class PassRules:
     merge: bool = True
     cut: bool = False
     snap: bool = False
+    trimmed: bool = False
 
 
 def refined(
@@ -75,7 +78,7 @@ def refined(
         refused += [] if likely else [beam]
     found += _outdone(refused) if rules.drop else []
     found = without_duplicates(found) if rules.merge else found
-    found = without_collisions(found) if rules.drop else found
+    found = without_collisions(found) if rules.drop and rules.trimmed else found
     return snapped(found) if rules.snap else found
 
 
