@@ -9,7 +9,7 @@ import pytest
 
 from beamseg_batch.config import SensorConfig
 from beamseg_batch.model import DepthNoise
-from beamseg_batch.noise import DEFAULT_NOISE, depth_noise, measured_noise
+from beamseg_batch.noise import DEFAULT_NOISE, depth_noise, has_mixed_pixels, measured_noise
 from tests.detection.scans import make_scan
 from tests.rays import camera_rays
 
@@ -98,3 +98,45 @@ def test_depth_noise__takes_what_is_configured():
 def test_depth_noise__is_measured_otherwise():
     scans = flight(7, DepthNoise(0.006))
     assert depth_noise(scans, SensorConfig()).at(1.0) == pytest.approx(0.006, rel=0.1)
+
+
+def steps(mixed, *, seed=0, share=0.6):
+    """Scan of posts before a wall; where pixels mix, edges have a depth in between."""
+    rng = np.random.default_rng(seed)
+    x = np.full((40, 60), 2.0)
+    for left in range(5, 55, 10):
+        x[:, left : left + 4] = 1.0
+        if mixed:
+            for edge in (left - 1, left + 4):
+                some = rng.random(40) < share
+                x[some, edge] = rng.uniform(1.2, 1.8, int(some.sum()))
+    x += rng.normal(0.0, 0.005, x.shape)
+    points = np.stack([x, np.zeros_like(x), np.zeros_like(x)], axis=-1).reshape(-1, 3)
+    return replace(make_scan(points.astype(np.float32)), width=60, height=40)
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+def test_has_mixed_pixels__tells_blurred_edges_from_sharp_ones(mixed):
+    scans = [steps(mixed, seed=k) for k in range(4)]
+    assert has_mixed_pixels(scans, DepthNoise(0.005)) is mixed
+    assert not has_mixed_pixels(scans, DepthNoise(0.1))  # no step stands out of that noise
+
+
+def test_has_mixed_pixels__a_few_are_no_sign():
+    scans = [steps(True, seed=k, share=0.1) for k in range(4)]
+    assert not has_mixed_pixels(scans, DepthNoise(0.005))
+
+
+def test_has_mixed_pixels__of_too_few_steps_or_no_rows_is_not_known():
+    scan = steps(True)
+    flat = replace(scan, width=len(scan.points), height=1)
+    small = replace(scan, points=scan.points[: 60 * 4], height=4)
+    assert not has_mixed_pixels([small], DepthNoise(0.005))
+    assert not has_mixed_pixels([flat] * 3, DepthNoise(0.005))
+    assert not has_mixed_pixels([], DepthNoise(0.005))
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_depth_noise__mixed_pixels_as_configured(given):
+    config = SensorConfig(mixed_pixels=given)
+    assert depth_noise([steps(not given, seed=k) for k in range(4)], config).mixed is given

@@ -120,6 +120,9 @@ class SensorConfig(Node):
     """Standard deviation of the depth, metres; null measures it in the flight."""
     noise_relative: NonNegative | None = None
     """What is added to it in proportion to the depth; null measures it, or is 0 beside noise_m."""
+    mixed_pixels: bool | None = None
+    """Whether a pixel at an edge returns a depth between those of both sides, so that the outlines
+    of beams do not count for their axes; null measures it."""
     axes: Literal["auto", "x_forward", "z_forward"] = "auto"
     """Which axis of the clouds looks ahead: x as on bodies, z as in optical frames, whose points
     are turned to x forward; auto: as the data, the frame's name or the transform tree says."""

@@ -67,10 +67,13 @@ class DepthNoise:
     constant : float, metres
     relative : float
         Share of the depth, added as the square.
+    mixed : bool
+        Whether a pixel at an edge returns a depth between those of both sides.
     """
 
     constant: float
     relative: float = 0.0
+    mixed: bool = False
 
     def at(self, depth: float) -> float:
         """Standard deviation at a forward depth, metres."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
@@ -10,7 +12,7 @@ from beamseg_batch.config import SensorConfig
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import DepthNoise, Scan
 
-__all__ = ["DEFAULT_NOISE", "depth_noise", "measured_noise"]
+__all__ = ["DEFAULT_NOISE", "depth_noise", "has_mixed_pixels", "measured_noise"]
 
 DEFAULT_NOISE = DepthNoise(0.01)
 """Of a camera about which nothing is known."""
@@ -19,6 +21,8 @@ _SMALLEST_M = 5e-4
 _BINS = 8
 _FEWEST_A_BIN = 200
 _ENOUGH = 200_000  # samples
+_MIXED = 0.35  # share of steps with a depth in between: 0.6 with mixed pixels, up to 0.17 without
+_FEWEST_STEPS, _ENOUGH_STEPS, _MOST_SCANS = 100, 500, 200
 _PLANAR = 0.5  # metres: a larger second difference is an edge, whatever the noise
 
 
@@ -36,8 +40,13 @@ def depth_noise(scans: Iterable[Scan], config: SensorConfig) -> DepthNoise:
     DepthNoise
     """
     if config.noise_m is not None:
-        return DepthNoise(config.noise_m, config.noise_relative or 0.0)
-    return measured_noise(scans)
+        return DepthNoise(
+            config.noise_m, config.noise_relative or 0.0, mixed=bool(config.mixed_pixels)
+        )
+    further = iter(scans)
+    noise = measured_noise(further)
+    mixed = config.mixed_pixels
+    return replace(noise, mixed=has_mixed_pixels(further, noise) if mixed is None else mixed)
 
 
 def measured_noise(scans: Iterable[Scan]) -> DepthNoise:
@@ -77,6 +86,39 @@ def measured_noise(scans: Iterable[Scan]) -> DepthNoise:
     if count < _BINS * _FEWEST_A_BIN:
         return DEFAULT_NOISE
     return _fitted(np.concatenate(depths), np.concatenate(residuals))
+
+
+def has_mixed_pixels(scans: Iterable[Scan], noise: DepthNoise) -> bool:
+    """Whether large steps of the depth often have one pixel in between.
+
+    Parameters
+    ----------
+    scans : iterable of Scan
+        Read no further than is needed; those without rows are left out.
+    noise : DepthNoise
+
+    Returns
+    -------
+    bool
+        False where there are too few steps to tell.
+    """
+    steps = between = 0
+    for scan in islice(scans, _MOST_SCANS):
+        rows = scan.height > 1 and scan.width >= 5
+        if not rows or len(scan.points) != scan.width * scan.height:
+            continue
+        x = np.asarray(scan.points[:, 0], np.float64).reshape(scan.height, scan.width)
+        a, b, c, d, e = (x[:, k : scan.width - 4 + k] for k in range(5))
+        with np.errstate(invalid="ignore"):
+            sigma = np.hypot(noise.constant, noise.relative * c)
+            flat = (np.abs(a - b) < 5.0 * sigma) & (np.abs(d - e) < 5.0 * sigma)
+            step = flat & (np.abs(b - d) > 24.0 * sigma)
+            low, high = np.minimum(b, d) + 6.0 * sigma, np.maximum(b, d) - 6.0 * sigma
+            between += int((step & (c > low) & (c < high)).sum())
+        steps += int(step.sum())
+        if steps >= _ENOUGH_STEPS:
+            break
+    return steps >= _FEWEST_STEPS and between > _MIXED * steps
 
 
 def _fitted(depths: FloatArray, residuals: FloatArray) -> DepthNoise:

@@ -167,6 +167,7 @@ class Gathered:
         self.hits[fine] += best > abs(residual) + 2
         apart = np.min(np.abs(entry - rivals) / sigma, initial=np.inf)
         tells = not hidden and apart >= 4 and abs(residual) < min(scene.tukey, apart / 2)
+        tells &= abs(line_distance(w, a, b)[0]) <= radius - scene.blur * entry
         if scene.firsts[j] <= s <= scene.lasts[j] and tells:
             self.alone[j] += 1
             normal = (entry * w - a - s * b) / radius

@@ -77,6 +77,14 @@ def test_gather__agrees_with_its_twin_above_a_floor_and_in_a_window():
     assert_agrees(scene)
 
 
+def test_gather__agrees_with_its_twin_where_outlines_are_blurred():
+    scene = random_scene(9)
+    sharp = gathered(scene).normal[:, 14].sum()
+    scene.blur = 0.02
+    assert_agrees(scene)
+    assert 0 < gathered(scene).normal[:, 14].sum() < 0.9 * sharp
+
+
 # --- the image and the scratch --------------------------------------------------------
 
 
@@ -236,7 +244,7 @@ def test_gather__a_place_that_rounds_up_to_the_end_stays_in_the_last_bin():
     scene = SimpleNamespace(
         points=points, rays=points / 0.95, width=0, image=np.zeros(4), noise=(0.005, 0.0),
         low=np.array([0.0, -2.0, -2.0]), high=np.full(3, 2.0),
-        up=np.array([0.0, 0.0, 1.0]), height=1.0, floor=-np.inf,
+        up=np.array([0.0, 0.0, 1.0]), height=1.0, floor=-np.inf, blur=0.0,
         anchors=row * [1.0, 0.0, -place], directions=row * [0.0, 0.0, 1.0],
         us=row * [1.0, 0.0, 0.0], vs=row * [0.0, 1.0, 0.0], radii=np.array([0.05]),
         firsts=np.array([-1.0]), lasts=np.array([0.0]), ranks=np.zeros(1, np.int64),

@@ -199,6 +199,8 @@ def gather(
                 continue
             if not beams.firsts[j] <= s <= beams.lasts[j]:
                 continue
+            if side * radius > radius - view.blur * entry:
+                continue
             alone[j] += 1
             a, b, u, v = beams.anchors[j], beams.directions[j], beams.us[j], beams.vs[j]
             nx = (entry * wx - a[0] - s * b[0]) / radius

@@ -44,6 +44,8 @@ class View(NamedTuple):
         The world's z axis; with `height`, the sensor's, and `floor`, metres, it gives the
         floor trim.
     height, floor : float, metres
+    blur : float, radians
+        How far from the outline of a beam its pixels may hold something else, too.
     """
 
     points: NDArray[np.floating]
@@ -57,6 +59,7 @@ class View(NamedTuple):
     up: FloatArray
     height: float
     floor: float
+    blur: float
 
 
 class Cylinders(NamedTuple):

@@ -30,6 +30,7 @@ END_PLACES: FloatArray = np.arange(-20.0, 21.0) * 0.002
 _RANGE_M = 3.0  # where a return that no beam explains may lie, for its likelihood
 _TYPICAL_DEPTH_M = 1.0
 _EXPLAINED_SIGMAS = 3.5
+_BLURRED_PIXELS = 0.75
 
 
 class Camera:
@@ -66,6 +67,7 @@ class Camera:
         return View(
             scan.points, rays, width, image, self.noise.constant, self.noise.relative,
             self.low, self.high, pose.rotation[2].copy(), float(pose.translation[2]), self.floor,
+            _BLURRED_PIXELS * abs(float(image[1])) if self.noise.mixed else 0.0,
         )  # fmt: skip
 
 
