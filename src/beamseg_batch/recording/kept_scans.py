@@ -8,13 +8,13 @@ from beamseg_batch.model import Scan, SkippedScan
 
 __all__ = ["KeptScans"]
 
-_MOST_BYTES = 64 * 2**20
+_MOST_BYTES = 32 * 2**20
 
 
 class KeptScans:
     """Scans of a reading that went to its end, so that the next need not decode them again.
 
-    More points than 64 MB are not kept: memory must not grow with the flight.
+    More points than 32 MB are not kept: memory must not grow with the flight.
     """
 
     def __init__(self) -> None:
