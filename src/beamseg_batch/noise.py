@@ -46,7 +46,9 @@ def depth_noise(scans: Iterable[Scan], config: SensorConfig) -> DepthNoise:
     further = iter(scans)
     noise = measured_noise(further)
     mixed = config.mixed_pixels
-    return replace(noise, mixed=has_mixed_pixels(further, noise) if mixed is None else mixed)
+    if mixed is None:
+        mixed = has_mixed_pixels(further, noise)
+    return replace(noise, mixed=True) if mixed else noise
 
 
 def measured_noise(scans: Iterable[Scan]) -> DepthNoise:
