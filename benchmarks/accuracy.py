@@ -23,7 +23,7 @@ from beamseg_batch.geometry import FloatArray
 World = dict[str, Any]
 Random = np.random.Generator
 
-HONEST = ("offset", "angle", "radius", "ends")
+HONEST = ("offset", "angle", "radius", "ends", "member_ends")
 
 
 def bends(rng: Random) -> World:
@@ -156,8 +156,11 @@ def main() -> None:
     """Measure every family with every seed, and print a row for each and one for all."""
     arguments = _arguments()
     rows = []
-    print(f"{'world':18}{'found':>10}{'wrong':>6}{'axis mm':>14}{'angle':>8}{'ends mm':>14}"
-          f"{'joints':>10}{'  honest: axis, angle, radius, ends':38}{'s':>6}")  # fmt: skip
+    print(
+        f"{'world':18}{'found':>10}{'wrong':>6}{'axis mm':>14}{'angle':>8}{'  own ends mm':>15}"
+        f"{'  to the member':>15}{'joints':>10}"
+        f"{'  within 2 sigma: axis angle radius ends member':47}{'s':>6}"
+    )
     for seed in arguments.seeds:
         for family in FAMILIES:
             if arguments.only and family.__name__ not in arguments.only:
@@ -273,20 +276,26 @@ def _pooled(rows: list[dict[str, Any]]) -> dict[str, Any]:
     return {"metrics": metrics, "matches": matches, "seconds": sum(row["seconds"] for row in rows)}
 
 
+def _spread(matches: list[dict[str, Any]], which: str) -> str:
+    """Median and 95 % of the errors of own ends, millimetres."""
+    errors = [end[which] * 1e3 for match in matches for end in match["ends"] if end["own"]]
+    errors = errors or [np.nan]
+    return f"{np.median(errors):>7.2f}/{np.percentile(errors, 95):<6.2f}"
+
+
 def _row(name: str, found: dict[str, Any]) -> str:
     metrics, matches = found["metrics"], found["matches"]
     wrong = metrics["duplicates"] + metrics["fragments"] + metrics["false"]
     axis = np.array([match["axis_offset"] for match in matches] or [np.nan]) * 1e3
     angle = np.median([match["angle_deg"] for match in matches] or [np.nan])
-    ends = [end["error"] * 1e3 for match in matches for end in match["ends"] if end["own"]]
-    ends = ends or [np.nan]
+    ends = " ".join(_spread(matches, which) for which in ("error", "member_error"))
     honest = [metrics[f"honesty.{kind}"] for kind in HONEST]
     shares = " ".join("     -" if share is None else f"{share:6.1%}" for share in honest)
     joints = "/".join(str(metrics[f"joints.{n}"]) for n in ("found", "truth", "invented"))
     return (
         f"{name:18}{metrics['matched']:>5}/{metrics['members']:<4}{wrong:>6}"
         f"{np.median(axis):>7.2f}/{axis.max():<6.2f}{angle:>8.3f}"
-        f"{np.median(ends):>7.2f}/{np.percentile(ends, 95):<6.2f}{joints:>10}  {shares:36}"
+        f" {ends}{joints:>10}  {shares:36}"
         f"{found['seconds']:>6.1f}"
     )
 

@@ -66,6 +66,17 @@ def test_thin_foreground__what_is_far_is_not_asked():
     assert not kept_by(scan, reach=0.8).any()
 
 
+def test_thin_foreground__what_lies_below_the_floor_is_not_asked():
+    scan, _ = view(POST)
+    heights = scan.T_world_sensor.apply(scan.points.astype(float))[:, 2]
+    floor = float(np.nanmedian(heights))
+    points = thin_foreground(scan, 0.05, 1.5, NOISE, floor).points
+    kept = np.isfinite(points).all(axis=1)
+    assert kept.sum() > 50
+    assert (heights[kept] >= floor).all()
+    np.testing.assert_array_equal(kept, kept_by(scan) & (heights >= floor))
+
+
 def test_thin_foreground__one_failed_pixel_beside_a_wall_is_no_opening():
     scan, _ = view(wall=1.0)
     points = scan.points.copy()

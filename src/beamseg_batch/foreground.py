@@ -15,7 +15,9 @@ _LEAST_JUMP_M = 0.06
 _JUMP_SIGMAS = 5.0
 
 
-def thin_foreground(scan: Scan, radius: float, reach: float, noise: DepthNoise) -> Scan:
+def thin_foreground(
+    scan: Scan, radius: float, reach: float, noise: DepthNoise, floor: float = -np.inf
+) -> Scan:
     """Drop the returns of floor, walls and all else that is wider than a beam.
 
     Parameters
@@ -26,6 +28,8 @@ def thin_foreground(scan: Scan, radius: float, reach: float, noise: DepthNoise) 
     reach : float, metres
         Returns beyond this forward depth are of no interest.
     noise : DepthNoise
+    floor : float, metres
+        So are those below this height in the world frame.
 
     Returns
     -------
@@ -51,7 +55,8 @@ def thin_foreground(scan: Scan, radius: float, reach: float, noise: DepthNoise) 
         _LEAST_JUMP_M, _JUMP_SIGMAS * np.hypot(noise.constant, noise.relative * forward)
     )
     with np.errstate(invalid="ignore"):
-        wanted = np.isfinite(depths) & (depths > 0.0) & (forward <= reach)
+        heights = points @ scan.T_world_sensor.rotation[2] + scan.T_world_sensor.translation[2]
+        wanted = (depths > 0.0) & (depths < np.inf) & (forward <= reach) & (heights >= floor)
     shape = (scan.height, scan.width)
     free = free_pixels(
         depths.reshape(shape), wanted.reshape(shape), pitch, _WIDEST * radius, jump.reshape(shape)
@@ -65,9 +70,9 @@ def thin_foreground(scan: Scan, radius: float, reach: float, noise: DepthNoise) 
 def _pitch(grid: FloatArray) -> float:
     """Angle from a pixel to the next along a row, radians; NaN if that cannot be told."""
     few = grid[:: max(len(grid) // 8, 1)]
-    one, other = few[:, :-1].reshape(-1, 3), few[:, 1:].reshape(-1, 3)
     with np.errstate(invalid="ignore", divide="ignore"):
-        lengths = np.linalg.norm(one, axis=1) * np.linalg.norm(other, axis=1)
-        sines = np.linalg.norm(np.cross(one, other), axis=1) / lengths
-    sines = sines[np.isfinite(sines)]
-    return float(np.median(sines)) if len(sines) else np.nan
+        rays = few / np.sqrt(np.einsum("ijk,ijk->ij", few, few))[..., None]
+    steps = np.diff(rays, axis=1)
+    squared = np.einsum("ijk,ijk->ij", steps, steps)
+    squared = squared[np.isfinite(squared)]
+    return float(np.sqrt(np.median(squared))) if len(squared) else np.nan

@@ -440,3 +440,17 @@ def test_evaluate__moving_truth_and_result_together_changes_nothing(seed):
     other = evaluate(moved_truth(truth, transform), moved_result(result, transform))
     assert_same(evaluate(truth, result), other)
     assert evaluate(truth, result).verdicts == other.verdicts
+
+
+def test_evaluate__own_ends_are_also_measured_to_where_the_member_ends():
+    """The seen end lies 2 cm within the member's; the segment's between the two."""
+    member = np.array([[[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]])
+    seen = np.array([[[0.02, 0.0, 0.0], [1.5, 0.0, 0.0]]])
+    segment = np.array([[[0.005, 0.0, 0.0], [1.5, 0.0, 0.0]]])
+    sigmas = {"end_1": np.array([0.004]), "end_2": np.array([0.004])}
+    metrics = metrics_of(segment, truth_of(member, seen), sigmas=sigmas)
+    assert metrics["own_end_error.count"] == 1
+    assert metrics["own_end_error.max"] == pytest.approx(0.015)
+    assert metrics["member_end_error.max"] == pytest.approx(0.005)
+    assert metrics["honesty.ends"] == 0.0
+    assert metrics["honesty.member_ends"] == 1.0

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 
+_DEVIATIONS = ("offset", "angle", "radius", "ends", "member_ends")
+
+
 @click.command("evaluate")
 @click.argument("run", type=run_path)
 @click.option(
@@ -127,7 +130,7 @@ def _shares(evaluation: Evaluation) -> Iterator[str]:
 
     lines = {
         "right": ("radius_class.right", "shape.right"),
-        "in 2σ": ("honesty.offset", "honesty.angle", "honesty.radius", "honesty.ends"),
+        "in 2σ": tuple(f"honesty.{name}" for name in _DEVIATIONS),
     }
     for label, names in lines.items():
         known = [

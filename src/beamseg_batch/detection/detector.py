@@ -90,7 +90,9 @@ class Detector:
         filtering = self.config.filtering
         if filtering.foreground == "all":
             return cropped.points
-        thin = thin_foreground(scan, max(filtering.radii), filtering.window.x[1], self.noise)
+        floor = filtering.floor_trim_height if filtering.floor_trim == "points" else -np.inf
+        thickest, reach = max(filtering.radii), filtering.window.x[1]
+        thin = thin_foreground(scan, thickest, reach, self.noise, floor)
         return cropped.points if thin is scan else crop_scan(thin, filtering).points
 
     def in_cloud(self, points: FloatArray) -> list[Segment]:

@@ -130,7 +130,13 @@ def _match(evaluation: Evaluation, match: Match) -> dict[str, Any]:
 
 
 def _end(end: EndError) -> dict[str, Any]:
-    return {"error": end.distance, "along": end.along, "own": end.own}
+    return {
+        "error": end.distance,
+        "along": end.along,
+        "member_error": end.member_distance,
+        "member_along": end.member_along,
+        "own": end.own,
+    }
 
 
 def _move(comparison: Comparison, move: Move) -> dict[str, Any]:

@@ -78,8 +78,9 @@ MEASURES = (
     Measure("precision", "", "`matched` of `segments`"),
     Measure("axis_offset", "m", "Mean distance between axis and member over the overlap", True),
     Measure("angle_deg", "°", "Angle between axis and member", True),
-    Measure("own_end_error", "m", "From an end to the member's, where that was seen", True),
+    Measure("own_end_error", "m", "From an end to the seen end, where that is the member's", True),
     Measure("own_end_error.count", "", "Number of those ends"),
+    Measure("member_end_error", "m", "From those ends to where the member truly ends", True),
     Measure("cut_end_error", "m", "From an end to the seen end, where the view was cut", True),
     Measure("cut_end_error.count", "", "Number of those ends"),
     Measure("coverage.median", "", "Share of what was seen of a member beside its segment, median"),
@@ -106,18 +107,21 @@ MEASURES = (
     Measure("honesty.angle", "", "Share of angles within 2 `sigma_angle_deg`"),
     Measure("honesty.radius", "", "Share of errors of measured radii within 2 `sigma_radius`"),
     Measure("honesty.ends", "", "Share of own ends within 2 `sigma_end`, along the axis"),
+    Measure("honesty.member_ends", "", "The same, from where the member truly ends"),
 )
 """Every measure, in the order in which it is told."""
 
 
 @dataclass(frozen=True)
 class EndError:
-    """How far an end of a segment is from the member's, or from the end of what was seen.
+    """How far an end of a segment is from the end of what was seen, and from the member's.
 
     Attributes
     ----------
     distance, along : float, metres
-        In space, and along the member.
+        From the seen end: in space, and along the member.
+    member_distance, member_along : float, metres
+        Likewise from the member's end.
     own : bool
         Whether what was seen ends where the member does.
     sigma : float, metres
@@ -126,6 +130,8 @@ class EndError:
 
     distance: float
     along: float
+    member_distance: float
+    member_along: float
     own: bool
     sigma: float
 
@@ -334,16 +340,17 @@ def _end_errors(
     if result.axes.directions[segment] @ direction < 0.0:
         ends, sigmas = ends[::-1], sigmas[::-1]
 
-    own_places = (truth.axes.starts[member], truth.axes.ends[member])
+    member_ends = (truth.axes.starts[member], truth.axes.ends[member])
 
     def error(k: int) -> EndError:
-        # What was seen is known by bins of 2 cm; where the member ends is known.
-        own = bool(truth.own_ends[member, k])
-        miss = ends[k] - (own_places[k] if own else truth.seen[member, k])
+        # What was seen is known by bins of 2 cm, where the member ends exactly.
+        miss, member_miss = ends[k] - truth.seen[member, k], ends[k] - member_ends[k]
         return EndError(
             distance=float(np.linalg.norm(miss)),
             along=abs(float(miss @ direction)),
-            own=own,
+            member_distance=float(np.linalg.norm(member_miss)),
+            member_along=abs(float(member_miss @ direction)),
+            own=bool(truth.own_ends[member, k]),
             sigma=float(sigmas[k]),
         )
 
@@ -468,6 +475,7 @@ def _accuracy_metrics(matches: Sequence[Match]) -> dict[str, float | int | None]
         **spread("angle_deg", (match.angle_deg for match in matches)),
         **spread("own_end_error", own),
         "own_end_error.count": len(own),
+        **spread("member_end_error", (end.member_distance for end in ends if end.own)),
         **spread("cut_end_error", cut),
         "cut_end_error.count": len(cut),
         "coverage.median": float(np.median(coverage)) if coverage else None,
@@ -542,6 +550,7 @@ def _honesty_metrics(result: Result, matches: Sequence[Match]) -> dict[str, floa
         "angle": [(m.angle_deg, claimed["angle_deg"][m.segment]) for m in matches],
         "radius": [(_deviating_error(m), claimed["radius"][m.segment]) for m in matches],
         "ends": [(end.along, end.sigma) for m in matches for end in m.ends if end.own],
+        "member_ends": [(e.member_along, e.sigma) for m in matches for e in m.ends if e.own],
     }
     return {
         f"honesty.{name}": _share(
