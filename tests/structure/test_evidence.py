@@ -10,7 +10,9 @@ import pytest
 from beamseg_batch.config import load_config
 from beamseg_batch.geometry import angle_between_deg, distances_to_line, normalised
 from beamseg_batch.model import DepthNoise
+from beamseg_batch.structure import questions
 from beamseg_batch.structure.evidence import EvidenceStructure
+from beamseg_batch.structure.pixel_rays import PixelRays
 from beamseg_batch.structure.questions import Leftovers
 from tests.detection.scans import make_scan
 from tests.rays import camera_rays, pose_at, seen_depths
@@ -51,11 +53,11 @@ def refine(structure, scans):
     return structure.renew(sums)
 
 
-def flown(beams, sightings, *, passes=8, seed=0, **seen):
+def flown(beams, sightings, *, passes=8, seed=0, overrides=(), **seen):
     """Structure after all passes over scans in which these segments were found, roughly."""
     rng = np.random.default_rng(seed)
     scans = [look(pose, beams, rng, stamp_ns=k, **seen) for k, pose in enumerate(POSES)]
-    structure = EvidenceStructure(load_config("precise"), NOISE)
+    structure = EvidenceStructure(load_config("precise", None, overrides), NOISE)
     for scan in scans:
         found = [replace(jittered(s, rng, 0.006), first_seen_ns=scan.stamp_ns) for s in sightings]
         structure.update(replace(detections(*found, stamp_ns=scan.stamp_ns), scan=scan))
@@ -68,6 +70,10 @@ def shortened(beam, share=0.1):
     """What a scan shows of a beam: not all of it."""
     start, end = (np.array(point) for point in beam[:2])
     return between(start + share * (end - start), end - share * (end - start))
+
+
+def offset_from(segment, beam):
+    return distances_to_line(np.array([beam[0]]), segment.anchor, segment.direction)[0]
 
 
 def assert_measured(segment, beam, *, axis_m=5e-4, ends_m=5e-3):
@@ -87,6 +93,52 @@ def test_EvidenceStructure__measures_axis_and_ends(seed):
     assert segment.n_scans == len(POSES)
     assert segment.first_seen_ns == 0
     assert structure.rejections().total() == 0
+
+
+def test_EvidenceStructure__asks_all_pixels_of_a_large_image_at_the_end(monkeypatch):
+    monkeypatch.setattr(questions, "_ENOUGH_PIXELS", SIZE * SIZE // 4)
+    asked = []
+    ask = questions.AxisQuestion.ask
+    monkeypatch.setattr(
+        questions.AxisQuestion, "ask", lambda q, scans: asked.append(q.stride) or ask(q, scans)
+    )
+    alone = ["refinement.leftovers=false"]
+    beams = [RAIL, POST]
+    structure, _ = flown(beams, [shortened(beam) for beam in beams], passes=12, overrides=alone)
+    assert asked[0] == 2
+    assert asked[-1] == 1
+    assert sorted(asked, reverse=True) == asked
+    for segment in structure.segments():
+        assert_measured(segment, min(beams, key=lambda beam: offset_from(segment, beam)))
+
+
+def test_view__every_other_row_and_column_is_the_same_image():
+    scan = look(POSES[0], [RAIL, POST], np.random.default_rng(0))
+    pixels = PixelRays()
+    pixels.learn(scan)
+    camera = questions.Camera(load_config("precise").filtering, NOISE, pixels)
+    whole, part = camera.view(scan), camera.view(scan, 3)
+    rows = np.arange(SIZE * SIZE).reshape(SIZE, SIZE)[::3, ::3].ravel()
+    np.testing.assert_array_equal(part.points, whole.points[rows])
+    np.testing.assert_array_equal(part.rays, whole.rays[rows])
+    assert part.width == SIZE // 3
+    u, v = part.image[0] + 31 * part.image[1], part.image[2] + 31 * part.image[3]
+    assert u == pytest.approx(whole.image[0] + 93 * whole.image[1])
+    assert v == pytest.approx(whole.image[2] + 93 * whole.image[3])
+
+
+def test_PixelRays__pixels_that_return_late_are_learned_all_the_same():
+    scan = look(POSES[0], [RAIL], np.random.default_rng(0))
+    full = look(POSES[0], [RAIL], np.random.default_rng(0), wall=2.0)
+    pixels = PixelRays()
+    for _ in range(60):
+        pixels.learn(scan)
+    unknown = ~pixels.of(scan)[0].any(axis=1)
+    assert unknown.any()
+    pixels.learn(full)
+    rays = pixels.of(scan)[0]
+    wanted = full.points / np.linalg.norm(full.points, axis=1)[:, None]
+    np.testing.assert_allclose(rays[unknown], wanted[unknown], atol=1e-6)
 
 
 def test_EvidenceStructure__measures_clouds_without_rows():

@@ -20,6 +20,7 @@ __all__ = ["Cylinders", "Meetings", "View", "forget", "meet", "rivals"]
 
 _FLANK = 1.35  # radii from the axis at which a beam's surroundings begin
 _FLANK_FROM, _FLANK_TO = 0.01, 0.06  # and where they are looked at, metres further
+_PIXEL = 0.75  # pixels by which a ray may lie beside its place in the image
 
 
 class View(NamedTuple):
@@ -124,19 +125,18 @@ class Meetings(NamedTuple):
 
 
 @kernel
-def _sights(view: View, sight: FloatArray) -> None:
-    """Direction of each ray, and how far it went."""
+def _look(view: View, sight: FloatArray, k: int) -> None:
+    """Note the direction of a ray, and how far it went."""
     points, rays = view.points, view.rays
-    for k in range(len(points)):
-        x, y, z = np.float64(points[k, 0]), np.float64(points[k, 1]), np.float64(points[k, 2])
-        depth = np.sqrt(x * x + y * y + z * z)
-        if np.isfinite(depth) and depth > 0.0:
-            scale = 1.0 / depth
-            sight[k, 0], sight[k, 1], sight[k, 2] = x * scale, y * scale, z * scale
-        else:
-            sight[k, 0], sight[k, 1], sight[k, 2] = rays[k, 0], rays[k, 1], rays[k, 2]
-            depth = np.inf
-        sight[k, 3] = depth
+    x, y, z = np.float64(points[k, 0]), np.float64(points[k, 1]), np.float64(points[k, 2])
+    depth = np.sqrt(x * x + y * y + z * z)
+    if np.isfinite(depth) and depth > 0.0:
+        scale = 1.0 / depth
+        sight[k, 0], sight[k, 1], sight[k, 2] = x * scale, y * scale, z * scale
+    else:
+        sight[k, 0], sight[k, 1], sight[k, 2] = rays[k, 0], rays[k, 1], rays[k, 2]
+        depth = np.inf
+    sight[k, 3] = depth
 
 
 @kernel
@@ -183,6 +183,51 @@ def _pixels(
         first_column,
         max(last_column, first_column),
     )
+
+
+@kernel
+def _tangents(
+    a: FloatArray, b: FloatArray, radius: float
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Normals of the planes from the camera that touch a cylinder, towards it.
+
+    A ray meets the endless cylinder where it has no negative part along either; both are
+    zero for a camera inside of it.
+    """
+    ab = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    x, y, z = a[0] - ab * b[0], a[1] - ab * b[1], a[2] - ab * b[2]
+    away = np.sqrt(x * x + y * y + z * z)
+    if away <= radius:
+        return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    x, y, z = x / away, y / away, z / away
+    sine = radius / away
+    cosine = np.sqrt(1.0 - sine * sine)
+    p = cosine * (b[1] * z - b[2] * y)
+    q = cosine * (b[2] * x - b[0] * z)
+    r = cosine * (b[0] * y - b[1] * x)
+    x, y, z = sine * x, sine * y, sine * z
+    return (x + p, y + q, z + r), (x - p, y - q, z - r)
+
+
+@kernel
+def _clipped(
+    normal: tuple[float, float, float],
+    row: int,
+    image: FloatArray,
+    first: int,
+    last: int,
+) -> tuple[int, int]:
+    """Columns of a row, out of some, whose rays have no negative part along a normal."""
+    step = normal[1] * image[1]
+    down = normal[2] * image[3]
+    begin = normal[0] + normal[1] * image[0] + normal[2] * image[2] + row * down
+    begin += _PIXEL * (abs(step) + abs(down))
+    if step == 0.0:
+        return first, last if begin >= 0.0 else first
+    column = min(max(-begin / step, -1.0), last + 1.0)
+    if step > 0.0:
+        return max(first, int(np.ceil(column))), last
+    return first, min(last, int(np.floor(column)) + 1)
 
 
 @kernel
@@ -256,7 +301,9 @@ def meet(view: View, beams: Cylinders, meetings: Meetings, flanks: bool) -> int:
     entries, sigmas = meetings.entry, meetings.sigma
     residual, nearest = meetings.residual, meetings.nearest
     num_rays, width = len(view.points), view.width
-    _sights(view, sight)
+    if width == 0:
+        for k in range(num_rays):
+            _look(view, sight, k)
     used, touched = 0, 0
     for j in range(len(beams.anchors)):
         a, b, radius = beams.anchors[j], beams.directions[j], beams.radii[j]
@@ -272,10 +319,21 @@ def meet(view: View, beams: Cylinders, meetings: Meetings, flanks: bool) -> int:
             row_first, row_last, column_first, column_last = _pixels(
                 a, b, begin, end, outer, width, num_rays // width, view.image
             )
+        tangent_1, tangent_2 = _tangents(a, b, outer)
         mx, my, mz = b[1] * a[2] - b[2] * a[1], b[2] * a[0] - b[0] * a[2], b[0] * a[1] - b[1] * a[0]
         for row in range(row_first, row_last):
-            for column in range(column_first, column_last):
+            begin_column, end_column = column_first, column_last
+            if width > 0:
+                begin_column, end_column = _clipped(
+                    tangent_1, row, view.image, begin_column, end_column
+                )
+                begin_column, end_column = _clipped(
+                    tangent_2, row, view.image, begin_column, end_column
+                )
+            for column in range(begin_column, end_column):
                 k = row * width + column
+                if width > 0:
+                    _look(view, sight, k)
                 wx, wy, wz, depth = sight[k, 0], sight[k, 1], sight[k, 2], sight[k, 3]
                 mixed = wx * mx + wy * my + wz * mz
                 wb = wx * b[0] + wy * b[1] + wz * b[2]

@@ -393,6 +393,7 @@ class BlockFile(ABC):
         if block.full_size > PIECE_BYTES:
             if block.crc and not block.cut:
                 _check(self._raw_pieces(stream, block), block.crc)
+                block.crc = 0  # is right, and need not be asked again in the next reading
             yield from self._raw_pieces(stream, block)
             return
         try:
@@ -404,6 +405,7 @@ class BlockFile(ABC):
             return
         if block.crc and not block.cut:
             _check([content], block.crc)
+            block.crc = 0
         yield content
 
     def _raw_pieces(

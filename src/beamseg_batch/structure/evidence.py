@@ -84,6 +84,7 @@ class EvidenceStructure:
         self._searches = 0
         self._known = -1  # beams when leftovers were last searched
         self._trial: RadiusTrial | None = None
+        self._closely = False
 
     def __len__(self) -> int:
         return len(self._candidates) if self._beams is None else len(self._beams)
@@ -124,6 +125,7 @@ class EvidenceStructure:
             competitors=kind.competitors,
             tukey=kind.tukey,
             flanks=kind.flanks,
+            stride=1 if self._closely else self._camera.stride,
         )
 
     def renew(self, sums: Sums) -> bool:
@@ -147,6 +149,10 @@ class EvidenceStructure:
         radii = self.config.filtering.radii
         self._beams = refined(beams, sums, self._camera.sigma, kind.rules, radii)
         if self._waiting or self.wants_leftovers or _have_moved(beams, self._beams):
+            return True
+        if not self._closely and self._camera.stride > 1:
+            # What is there is known from some of the pixels; where exactly, all of them tell.
+            self._closely = True
             return True
         wanted = self.config.refinement.radii and len(radii) > 1
         if wanted and self._trial is None and self._beams:

@@ -9,6 +9,8 @@ from beamseg_batch.model import Scan
 
 __all__ = ["PixelRays"]
 
+_ENOUGH_SCANS = 50
+
 
 class PixelRays:
     """Direction of each pixel of an organised camera, learned from its returns.
@@ -20,9 +22,16 @@ class PixelRays:
     def __init__(self) -> None:
         self._sum: FloatArray | None = None
         self._rays: FloatArray | None = None
+        self._unknown = np.zeros(0, np.int64)
+        self._taken = 0
         self._width = 0
         self._image_width = 0
         self._image = np.zeros(4)
+
+    @property
+    def count(self) -> int:
+        """Pixels of a scan; 0 where it is not known to be an image."""
+        return 0 if self._sum is None else len(self._sum)
 
     def learn(self, scan: Scan) -> None:
         """Take in a scan; one of another size than the first is left out.
@@ -37,10 +46,15 @@ class PixelRays:
             self._sum, self._width = np.zeros((len(scan.points), 3)), scan.width
         if len(scan.points) != len(self._sum) or scan.width != self._width:
             return
-        points = np.asarray(scan.points, np.float64)
-        finite = np.isfinite(points).all(axis=1)
-        self._sum[finite] += points[finite]
-        self._rays = None
+        self._taken += 1
+        # Later on only pixels that did not return anything so far have something to add.
+        enough = self._taken > _ENOUGH_SCANS
+        asked = self._unknown if enough else np.arange(len(self._sum))
+        asked = asked[np.isfinite(scan.points[asked]).all(axis=1)]
+        if len(asked):
+            self._sum[asked] += scan.points[asked]
+            self._unknown = np.flatnonzero(~self._sum.any(axis=1))
+            self._rays = None
 
     def of(self, scan: Scan) -> tuple[FloatArray, int, FloatArray]:
         """Directions of a scan's pixels.

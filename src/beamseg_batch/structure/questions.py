@@ -11,12 +11,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from beamseg_batch.config import FilteringConfig
 from beamseg_batch.cylinder.end_kernels import gather_ends
 from beamseg_batch.cylinder.evidence_kernels import gather
 from beamseg_batch.cylinder.meeting_kernels import Cylinders, Meetings, View
 from beamseg_batch.cylinder.ray_kernels import on_cylinders
+from beamseg_batch.foreground import thin_foreground
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import DepthNoise, Scan
 from beamseg_batch.structure.hypothesis import Answer, Beam, Sums
@@ -31,6 +33,7 @@ _RANGE_M = 3.0  # where a return that no beam explains may lie, for its likeliho
 _TYPICAL_DEPTH_M = 1.0
 _EXPLAINED_SIGMAS = 3.5
 _BLURRED_PIXELS = 0.75
+_ENOUGH_PIXELS = 8000
 
 
 class Camera:
@@ -49,6 +52,8 @@ class Camera:
         trimmed = filtering.floor_trim != "none"
         self.floor = filtering.floor_trim_height if trimmed else -np.inf
         self.noise, self.pixels = noise, pixels
+        self.thin = filtering.foreground == "thin"
+        self.thickest = max(filtering.radii)
 
     @property
     def sigma(self) -> float:
@@ -60,15 +65,31 @@ class Camera:
         """Cost of a return that no beam explains, as half a squared residual."""
         return float(np.log(_RANGE_M / (self.sigma * np.sqrt(2.0 * np.pi))))
 
-    def view(self, scan: Scan) -> View:
-        """Return a scan as the kernels take it."""
+    @property
+    def stride(self) -> int:
+        """Every so manieth row and column is enough to tell where beams are, roughly."""
+        return max(int(np.sqrt(self.pixels.count / _ENOUGH_PIXELS)), 1)
+
+    def view(self, scan: Scan, stride: int = 1) -> View:
+        """Return a scan as the kernels take it, or every so manieth row and column of it."""
         rays, width, image = self.pixels.of(scan)
+        points, pitch = scan.points, abs(float(image[1]))
+        if stride > 1 and width > 0:
+            points, rays = (_thinned(each, width, stride) for each in (points, rays))
+            points.flags.writeable = False  # as all points of a recording
+            width = -(-width // stride)
+            image = image * [1.0, stride, 1.0, stride]
         pose = scan.T_world_sensor
         return View(
-            scan.points, rays, width, image, self.noise.constant, self.noise.relative,
+            points, rays, width, image, self.noise.constant, self.noise.relative,
             self.low, self.high, pose.rotation[2].copy(), float(pose.translation[2]), self.floor,
-            _BLURRED_PIXELS * abs(float(image[1])) if self.noise.mixed else 0.0,
+            _BLURRED_PIXELS * pitch if self.noise.mixed else 0.0,
         )  # fmt: skip
+
+
+def _thinned(pixels: NDArray[Any], width: int, stride: int) -> NDArray[Any]:
+    """Every so manieth row and column of an image, (R, 3)."""
+    return pixels.reshape(-1, width, 3)[::stride, ::stride].reshape(-1, 3)
 
 
 class _Beams:
@@ -115,6 +136,8 @@ class AxisQuestion:
         Reach of Tukey's weight, sigmas.
     flanks : bool
         Whether rays that pass the beams closely are asked, too.
+    stride : int, optional
+        Every so manieth row and column is asked.
     """
 
     def __init__(
@@ -125,9 +148,10 @@ class AxisQuestion:
         competitors: str,
         tukey: float,
         flanks: bool,
+        stride: int = 1,
     ) -> None:
         self.beams = tuple(beam.bare() for beam in beams)
-        self.camera, self.tukey, self.flanks = camera, tukey, flanks
+        self.camera, self.tukey, self.flanks, self.stride = camera, tukey, flanks, stride
         self._arrays = _Beams(beams, competitors)
 
     def sums(self) -> Sums:
@@ -148,11 +172,11 @@ class AxisQuestion:
         sums, scratch = self.sums(), _Scratch()
         alone, scores = np.zeros(len(self.beams), np.int64), np.zeros((len(self.beams), 5))
         for scan in scans:
+            view = self.camera.view(scan, self.stride)
             gather(
-                self.camera.view(scan),
-                self._arrays.seen_from(scan, sums.starts, sums.stops),
+                view, self._arrays.seen_from(scan, sums.starts, sums.stops),
                 sums.evidence, self.tukey, self.camera.background,
-                scratch.meetings(len(scan.points)), alone, scores,
+                scratch.meetings(len(view.points)), alone, scores,
             )  # fmt: skip
         return sums.answer()
 
@@ -251,6 +275,10 @@ class LeftoverQuestion:
     def _unexplained(self, scan: Scan) -> FloatArray:
         """Returns in the window and above the floor that lie on no beam, world frame."""
         camera, beams = self.camera, self._arrays
+        if camera.thin:
+            scan = thin_foreground(
+                scan, camera.thickest, camera.high[0], camera.noise, camera.floor
+            )
         points = np.asarray(scan.points, np.float64)
         inside = np.all((points >= camera.low) & (points <= camera.high), axis=1)
         world = scan.T_world_sensor.apply(points[inside])
