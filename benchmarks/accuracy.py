@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import rough_worlds as rough
 from beamseg_batch.geometry import FloatArray
 
 World = dict[str, Any]
@@ -147,9 +148,18 @@ def thicket(rng: Random) -> World:
     return {"members": members, "flight": _spiral(1.5, 0.7, 2.4)}
 
 
-FAMILIES: tuple[Callable[[Random], World], ...] = (
-    bends, stars, crossings, parallels, truss, tower, ends_first, thicket,
-)  # fmt: skip
+FAMILIES: dict[Callable[[Random], World], int] = {
+    bends: 0, stars: 1, crossings: 2, parallels: 3, truss: 4, tower: 5, ends_first: 6, thicket: 7,
+    rough.clutters: 8, rough.clutters_4cm: 8, rough.clutters_voxl: 8, rough.thicket_cluttered: 8,
+    rough.tower_cluttered: 8, rough.tower_voxl: 8, rough.radii_3: 8, rough.mixed: 8,
+}  # fmt: skip
+"""Families of worlds; those of a number draw from the same random numbers."""
+
+SETTINGS = {
+    rough.radii_3: ["filtering.radii=[0.10,0.05,0.03]"],
+    rough.mixed: ["filtering.radii=[0.10,0.05,0.03]"],
+}
+"""What a run needs to be told of a family."""
 
 
 def main() -> None:
@@ -178,11 +188,13 @@ def measure(
     """Simulate a world unless that was done before, run, evaluate."""
     folder.mkdir(parents=True, exist_ok=True)
     world, flight = folder / "world.yaml", folder / "flight.mcap"
-    text = json.dumps(family(np.random.default_rng([seed, FAMILIES.index(family)])))
+    text = json.dumps(family(np.random.default_rng([seed, FAMILIES[family]])))
+    noisy = ("--noise", "0.04") if family is rough.clutters_4cm else ()
     if not flight.exists() or not world.exists() or world.read_text() != text:
         world.write_text(text)  # JSON is YAML, too
-        _beamseg("simulate", world, "-o", flight, "--seed", seed, "--overwrite", "-q")
-    settings = [part for each in arguments.set for part in ("--set", each)]
+        _beamseg("simulate", world, "-o", flight, "--seed", seed, "--overwrite", "-q", *noisy)
+    chosen = [*SETTINGS.get(family, ()), *arguments.set]
+    settings = [part for each in chosen for part in ("--set", each)]
     _beamseg(
         "run", flight, "-o", folder / "run", "--overwrite", "-q", "--profile", arguments.profile,
         "--set", "outputs.report=false", *settings,

@@ -97,11 +97,15 @@ class Gathered:
         self.scores = np.zeros((len(scene.anchors), 5))
         self.asked = np.zeros(len(scene.anchors), int)
         self.alone = np.zeros(len(scene.anchors), int)
-        self.flanks = np.zeros((len(scene.anchors) if flanks else 0, 2, 2))
+        self.flanks = np.zeros((len(scene.anchors) if flanks else 0, 3, 2))
         for point, ray in zip(scene.points.astype(float), scene.rays, strict=True):
             self._ask(point, ray)
         self.scans = (self.alone >= 3).astype(int)
         self.scatter = np.einsum("ij,ik->ijk", self.scores, self.scores)
+        for beside in self.flanks:
+            known = [side for side in beside[:2] if side.sum() >= 4]
+            worst = max((occupied / (occupied + free) for occupied, free in known), default=0.0)
+            beside[2] = np.sum(known) * np.array([worst, 1.0 - worst])
 
     def _counts(self, place):
         scene = self.scene

@@ -111,7 +111,7 @@ def empty_sums(scene, *, flanks=True):
         hits=np.zeros(scene.fine_at[-1]),
         normal=np.zeros((scene.coarse_at[-1], NORMAL_COLUMNS)),
         scans=np.zeros(count, np.int64),
-        flanks=np.zeros((count if flanks else 0, 2, 2)),
+        flanks=np.zeros((count if flanks else 0, 3, 2)),
         scatter=np.zeros((count, 5, 5)),
         asked=np.zeros(count, np.int64),
     )
@@ -122,7 +122,7 @@ def gathered(scene, *, flanks=True, width=None, room=None, sums=None, run=gather
     sums = sums or empty_sums(scene, flanks=flanks)
     count = len(scene.anchors)
     meetings = meetings_of(len(scene.points), room)
-    alone, scores = np.zeros(count, np.int64), np.zeros((count, 5))
+    alone, scores = np.zeros(count, np.int64), np.zeros((count, 9))
     view = view_of(scene, scene.width if width is None else width)
     run(view, cylinders_of(scene), sums, scene.tukey, scene.background, meetings, alone, scores)
     assert (meetings.head == -1).all()

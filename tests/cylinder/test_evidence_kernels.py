@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from beamseg_batch.cylinder.evidence_kernels import FINE, gather
+from beamseg_batch.cylinder.evidence_kernels import FINE, _add_flanks, gather
 from tests.cylinder.naive import Gathered
-from tests.cylinder.scenes import gathered, recorded, scene_of, some_beams
+from tests.cylinder.scenes import empty_sums, gathered, recorded, scene_of, some_beams
 
 BEAM = ([1.0, 0.0, -0.3], [1.0, 0.0, 0.3], 0.05)
 BEFORE = ([0.7, 0.0, -0.3], [0.7, 0.0, 0.3], 0.05)
@@ -234,6 +234,18 @@ def test_gather__a_wall_goes_on_beside_a_beam_and_air_does_not():
     assert free.flanks[0, :, 1].min() > 10
     assert walled.flanks[0, :, 1].sum() == 0
     assert walled.flanks[0, :, 0].min() > 10
+
+
+def test_gather__an_edge_goes_on_beside_a_beam_on_one_side_or_the_other():
+    scene = random_scene(20, count=1)
+    beside = np.array([[30.0, 2.0, 0.0, 40.0], [0.0, 28.0, 33.0, 3.0], [3.0, 0.0, 0.0, 9.0]])
+    flanks = empty_sums(scene).flanks[0]
+    for scan in beside:
+        _add_flanks(flanks, scan)
+        assert not scan.any()
+    np.testing.assert_array_equal(flanks[:2], [[33.0, 30.0], [33.0, 52.0]])
+    # Of the last scan three rays on a side are too few, but the other side is free.
+    np.testing.assert_allclose(flanks[2], [72 * 30 / 32 + 64 * 33 / 36, 72 / 16 + 64 / 12 + 9])
 
 
 def test_gather__a_place_that_rounds_up_to_the_end_stays_in_the_last_bin():

@@ -54,7 +54,7 @@ def test_sums__have_bins_for_each_beam_and_its_margins(lengths):
     beams = [beam(-0.3 * length, 0.7 * length) for length in lengths]
     sums = Sums(beams, flanks=True)
     found = sums.evidence
-    assert found.flanks.shape == (len(beams), 2, 2)
+    assert found.flanks.shape == (len(beams), 3, 2)
     assert len(found.likelihood) == len(found.hits) == found.fine_at[-1]
     for index, one in enumerate(beams):
         likelihood, hits = sums.fine(index)
@@ -64,7 +64,7 @@ def test_sums__have_bins_for_each_beam_and_its_margins(lengths):
 
 
 def test_sums__without_flanks_ask_for_none():
-    assert Sums([beam()]).evidence.flanks.shape == (0, 2, 2)
+    assert Sums([beam()]).evidence.flanks.shape == (0, 3, 2)
 
 
 @given(PLACES, PLACES)

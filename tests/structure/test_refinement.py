@@ -174,7 +174,7 @@ def test_bend__is_not_looked_for_in_what_is_short():
         ({"score": 301.0, "hits": 100.0}, True),
         ({"score": 301.0, "hits": 500.0}, False),
         ({"first": -0.08, "last": 0.08}, False),
-        ({"flanks": np.array([[50.0, 50.0], [0.0, 100.0]])}, False),
+        ({"flanks": np.array([[50.0, 50.0], [0.0, 100.0], [0.0, 0.0]])}, False),
     ],
 )
 def test_is_likely__asks_for_evidence_length_and_air(change, likely):
@@ -184,16 +184,23 @@ def test_is_likely__asks_for_evidence_length_and_air(change, likely):
 @pytest.mark.parametrize(
     ("flanks", "free"),
     [
-        ([[0, 0], [0, 0]], True),
-        ([[19, 0], [19, 0]], True),
-        ([[20, 0], [0, 0]], False),
-        ([[0, 0], [20, 0]], False),
-        ([[44, 56], [44, 56]], True),
-        ([[46, 54], [0, 99]], False),
+        ([[0, 0], [0, 0], [0, 0]], True),
+        ([[19, 0], [19, 0], [0, 0]], True),
+        ([[20, 0], [0, 0], [0, 0]], False),
+        ([[0, 0], [20, 0], [0, 0]], False),
+        ([[44, 56], [44, 56], [29, 71]], True),
+        ([[46, 54], [0, 99], [0, 0]], False),
+        ([[44, 56], [44, 56], [31, 69]], False),
     ],
 )
 def test_stands_free__on_either_side(flanks, free):
     assert stands_free(replace(GOOD, flanks=np.array(flanks, np.float64))) is free
+
+
+def test_stands_free__a_thicker_beam_than_assumed_goes_on_beside_itself():
+    attached = replace(GOOD, flanks=np.array([[40.0, 60.0], [40.0, 60.0], [60.0, 40.0]]))
+    assert not stands_free(replace(attached, free_radius=1.1 * GOOD.radius))
+    assert stands_free(replace(attached, free_radius=1.2 * GOOD.radius))
 
 
 # --- duplicates -----------------------------------------------------------------------

@@ -38,6 +38,7 @@ _MIN_INCIDENCE = 0.2
 _CONTESTED = 2.0  # sigmas by which a ray must fit one beam better than any other
 _LEAST_APART = 4.0  # sigmas from the nearest competitor, for a ray to tell of the axis
 _FEWEST_ALONE = 3
+_FEWEST_BESIDE = 4.0
 
 
 class Evidence(NamedTuple):
@@ -53,9 +54,10 @@ class Evidence(NamedTuple):
         By coarse bin: normal equations of the axis and the radius.
     scans : (M,) int64
         Scans with at least three rays that are explained by the beam alone.
-    flanks : (M, 2, 2) float64
+    flanks : (M, 3, 2) float64
         Rays that pass a beam closely on its left and right, and found something at its
-        depth, or nothing. Not asked for where it is empty.
+        depth, or nothing; then both sides' rays, scan by scan, divided as those of the side
+        that found more. Not asked for where it is empty.
     scatter : (M, 5, 5) float64
         Sums over scans of the product with itself of a scan's right-hand side of the normal
         equations: how far scans, not rays, disagree.
@@ -139,6 +141,22 @@ def _weigh(
 
 
 @kernel
+def _add_flanks(flanks: FloatArray, beside: FloatArray) -> None:
+    """Add what a scan found on both sides of a beam, and forget it."""
+    total, worst = 0.0, 0.0
+    for side in range(2):
+        occupied, free = beside[2 * side], beside[2 * side + 1]
+        flanks[side, 0] += occupied
+        flanks[side, 1] += free
+        if occupied + free >= _FEWEST_BESIDE:
+            total += occupied + free
+            worst = max(worst, occupied / (occupied + free))
+    flanks[2, 0] += worst * total
+    flanks[2, 1] += (1.0 - worst) * total
+    beside[:] = 0.0
+
+
+@kernel
 def gather(
     view: View,
     beams: Cylinders,
@@ -165,7 +183,7 @@ def gather(
     meetings : Meetings
         Scratch.
     alone : (M,) int64
-    scores : (M, 5) float64
+    scores : (M, 9) float64
         Scratch, zero before and after.
     """
     flanks = evidence.flanks
@@ -184,7 +202,7 @@ def gather(
             if abs(side) > 1.0:
                 reaches = 2.0 * radius / sigma + GATE
                 if best > GATE and e >= -reaches:
-                    flanks[j, int(side > 0.0), int(e > reaches)] += 1.0
+                    scores[j, 5 + 2 * int(side > 0.0) + int(e > reaches)] += 1.0
                 continue
             # A place just before the end may round up to it.
             start = beams.starts[j]
@@ -230,5 +248,7 @@ def gather(
             for row in range(5):
                 for column in range(5):
                     evidence.scatter[j, row, column] += scores[j, row] * scores[j, column]
-            scores[j] = 0.0
+            scores[j, :5] = 0.0
             alone[j] = 0
+    for j in range(len(flanks)):
+        _add_flanks(flanks[j], scores[j, 5:])

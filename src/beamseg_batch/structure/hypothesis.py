@@ -53,9 +53,9 @@ class Beam:
         Standard deviations of the ends along the axis.
     ends_seen : (bool, bool) or None
         Whether rays deny that the beam goes on; None where they were not asked.
-    flanks : (2, 2) float64
+    flanks : (3, 2) float64
         Rays that pass closely on its left and right and found something at its depth, or
-        nothing.
+        nothing; then all of them, scan by scan, as on the side that found more.
     profile : (N,) float64
         Log-likelihood ratios along the axis, by fine bin, from `profile_start` on, metres.
     profile_start : float
@@ -79,7 +79,7 @@ class Beam:
     snapped: tuple[bool, bool] = (False, False)
     sigma_ends: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
     ends_seen: tuple[bool, bool] | None = None
-    flanks: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
+    flanks: FloatArray = field(default_factory=lambda: np.zeros((3, 2)))
     profile: FloatArray = field(default_factory=lambda: np.zeros(0))
     profile_start: float = 0.0
 
@@ -174,7 +174,7 @@ class Sums:
             hits=np.zeros(fine_at[-1]),
             normal=np.zeros((coarse_at[-1], NORMAL_COLUMNS)),
             scans=np.zeros(count, np.int64),
-            flanks=np.zeros((count if flanks else 0, 2, 2)),
+            flanks=np.zeros((count if flanks else 0, 3, 2)),
             scatter=np.zeros((count, 5, 5)),
             asked=np.zeros(count, np.int64),
         )

@@ -170,7 +170,7 @@ class AxisQuestion:
         Answer
         """
         sums, scratch = self.sums(), _Scratch()
-        alone, scores = np.zeros(len(self.beams), np.int64), np.zeros((len(self.beams), 5))
+        alone, scores = np.zeros(len(self.beams), np.int64), np.zeros((len(self.beams), 9))
         for scan in scans:
             view = self.camera.view(scan, self.stride)
             gather(

@@ -24,8 +24,9 @@ LEAST_SHARE = 0.15  # of the score that all hits would give
 BEST_A_HIT = 4.3
 LEAST_LENGTH = 0.18
 TRIM_A_HIT = 0.1
-MOST_ATTACHED = 0.45
+MOST_ATTACHED = np.array([0.45, 0.45, 0.3])  # left, right, and by scan on either side
 FEWEST_BESIDE = 20.0
+THICKER = 1.15  # radii
 _CLASS_SIGMAS = 2.0
 _OWN_SCANS = 5  # scans' worth of trust in rays that are independent
 # Of Tukey's weight w at 4 sigmas, for normal residuals e: mean of d(w e)/de and of (w e)**2,
@@ -113,10 +114,14 @@ def is_likely(beam: Beam) -> bool:
 def stands_free(beam: Beam) -> bool:
     """Whether there is mostly nothing beside a beam, on either side.
 
-    Part of a wall fits a cylinder as well as the noise allows, but goes on beside it.
+    Part of a wall fits a cylinder as well as the noise allows, but goes on beside it. So does
+    the edge of a box, though from each place on one side alone, and a beam that is thicker
+    than it is taken for.
     """
     occupied, free = beam.flanks[:, 0], beam.flanks[:, 1]
     known = occupied + free >= FEWEST_BESIDE
+    if beam.free_radius > THICKER * beam.radius:
+        known[2] = False
     return bool(np.all(~known | (occupied <= MOST_ATTACHED * (occupied + free))))
 
 
