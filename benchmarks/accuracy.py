@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import rough_worlds as rough
 from beamseg_batch.geometry import FloatArray
+from benchmarks import rough_worlds as rough
 
 World = dict[str, Any]
 Random = np.random.Generator

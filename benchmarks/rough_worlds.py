@@ -10,6 +10,7 @@ from beamseg_batch.geometry import FloatArray
 
 World = dict[str, Any]
 Random = np.random.Generator
+Axis = tuple[FloatArray, FloatArray]
 
 __all__ = ["clutters", "clutters_4cm", "clutters_voxl", "mixed", "radii_3", "thicket_cluttered",
            "tower_cluttered", "tower_voxl"]  # fmt: skip
@@ -21,11 +22,10 @@ _RADII = (0.03, 0.05, 0.1)
 def clutters(rng: Random) -> World:
     """No beam: floor, walls, boards, boxes and balls, turned at random."""
     things: list[World] = _walls(2.1)
-    for _ in range(2):
-        things.append(_thing(rng, "plane", [_between(rng, 0.6, 1.2), _between(rng, 0.8, 1.5)]))
-    for _ in range(3):
-        size = [_between(rng, 0.2, 0.7) for _ in range(3)]
-        things.append(_thing(rng, "box", size))
+    boards = [[_between(rng, 0.6, 1.2), _between(rng, 0.8, 1.5)] for _ in range(2)]
+    boxes = [[_between(rng, 0.2, 0.7) for _ in range(3)] for _ in range(3)]
+    things += [_thing(rng, "plane", size) for size in boards]
+    things += [_thing(rng, "box", size) for size in boxes]
     things.append(_thing(rng, "box", [_between(rng, 0.4, 0.8), _between(rng, 0.03, 0.08), 0.6]))
     for _ in range(2):
         centre = [_between(rng, -0.5, 0.5), _between(rng, -0.5, 0.5), _between(rng, 0.5, 2.0)]
@@ -96,9 +96,7 @@ def tower_cluttered(rng: Random) -> World:
     return {**world, "floor": {"size": [8, 8]}, "clutter": things}
 
 
-def _furnished(
-    rng: Random, members: list[World], axes: list[tuple[FloatArray, FloatArray]]
-) -> World:
+def _furnished(rng: Random, members: list[World], axes: list[Axis]) -> World:
     """Members with floor, walls, and boxes and a ball that touch none of them."""
     things = _walls(2.1)
     while len(things) < 6:
@@ -116,9 +114,9 @@ def _furnished(
     }  # fmt: skip
 
 
-def _axes(rng: Random, count: int) -> list[tuple[FloatArray, FloatArray]]:
+def _axes(rng: Random, count: int) -> list[Axis]:
     """Axes anywhere, no two nearer than 0.3 m."""
-    axes: list[tuple[FloatArray, FloatArray]] = []
+    axes: list[Axis] = []
     while len(axes) < count:
         middle = rng.uniform([-0.6, -0.6, 0.9], [0.6, 0.6, 2.2])
         way = rng.normal(size=3)
@@ -130,10 +128,12 @@ def _axes(rng: Random, count: int) -> list[tuple[FloatArray, FloatArray]]:
 
 
 def _walls(away: float) -> list[World]:
+    """Two walls, so far from the middle."""
+    places = (([3, 6], [-away, 0.0, 1.5], [0, 90, 0]), ([6, 3], [0.0, away, 1.5], [90, 0, 0]))
     return [
-        {"plane": {"size": [3, 6], "translation": [-away, 0.0, 1.5], "rotation_rpy_deg": [0, 90, 0]}},
-        {"plane": {"size": [6, 3], "translation": [0.0, away, 1.5], "rotation_rpy_deg": [90, 0, 0]}},
-    ]  # fmt: skip
+        {"plane": {"size": size, "translation": place, "rotation_rpy_deg": turn}}
+        for size, place, turn in places
+    ]
 
 
 def _thing(
@@ -148,7 +148,7 @@ def _thing(
     return {kind: {"size": size, "translation": where, "rotation_rpy_deg": turned}}
 
 
-def _member(name: str, axis: tuple[FloatArray, FloatArray], **kind: Any) -> World:
+def _member(name: str, axis: Axis, **kind: Any) -> World:
     ends = [[round(float(x), 4) for x in point] for point in axis]
     return {"name": name, "ends": ends, **kind}
 
@@ -157,7 +157,7 @@ def _between(rng: Random, low: float, high: float) -> float:
     return round(float(rng.uniform(low, high)), 3)
 
 
-def _apart(one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray]) -> float:
+def _apart(one: Axis, other: Axis) -> float:
     """Distance of two segments, near enough."""
     share = np.linspace(0.0, 1.0, 60)[:, None]
     p, q = (start + share * (end - start) for start, end in (one, other))
