@@ -26,10 +26,10 @@ def anchors(page):
 
 def test_generated_pages__are_those_with_tables():
     pages = [page.name for page in GENERATOR["generated_pages"]()]
-    assert pages == ["configuration.md", "evaluation.md", "outputs.md"]
+    assert pages == ["configuration.md", "evaluation.md", "explain.md", "outputs.md"]
 
 
-@pytest.mark.parametrize("name", ["configuration.md", "evaluation.md", "outputs.md"])
+@pytest.mark.parametrize("name", ["configuration.md", "evaluation.md", "explain.md", "outputs.md"])
 def test_generated_pages__are_up_to_date(name):
     page = (ROOT / "docs" / name).read_text(encoding="utf-8")
     assert GENERATOR["updated"](page) == page, "run: python docs/generate.py"

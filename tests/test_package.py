@@ -22,7 +22,7 @@ else:
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-HEAVY = {"apsw", "mcap", "numba", "open3d", "pandas", "plotly", "rosbags", "scipy"}
+HEAVY = {"apsw", "mcap", "numba", "open3d", "pandas", "plotly", "pyarrow", "rosbags", "scipy"}
 
 
 def modules_after(statement: str) -> set[str]:
@@ -83,7 +83,8 @@ def test_config_folder__holds_the_profiles():
 
 def test_imports__are_declared_dependencies():
     distributions = metadata.packages_distributions()
-    declared = {normalised(requirement) for requirement in PROJECT["dependencies"]}
+    requirements = [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["parquet"]]
+    declared = {normalised(requirement) for requirement in requirements}
     undeclared = {
         module
         for module in imported_libraries()

@@ -297,6 +297,9 @@ class OutputConfig(Node):
     """0 errors only, 1 progress and information, 2 details of every scan."""
     report: bool = True
     """Whether report.html is written."""
+    candidates: bool = False
+    """Whether candidates.parquet is written: everything that might have been a beam, and why it
+    is one or not, for beamseg explain. Needs the extra parquet."""
     cloud_points: Annotated[int, Field(ge=0, le=20_000_000)] = 200_000
     """Most points of the thinned cloud of the flight."""
 

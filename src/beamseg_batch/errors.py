@@ -12,6 +12,7 @@ __all__ = [
     "BeamsegError",
     "ConfigError",
     "DuplicateRecordingError",
+    "MissingExtraError",
     "NoScansError",
     "OutputError",
     "PoseFileError",
@@ -43,6 +44,12 @@ class ShapeError(BeamsegError, ValueError):
 
 class ConfigError(BeamsegError, ValueError):
     """A configuration value, key or file is not valid."""
+
+    exit_code = 2
+
+
+class MissingExtraError(BeamsegError, ImportError):
+    """A library is needed that is not installed by default."""
 
     exit_code = 2
 

@@ -20,6 +20,7 @@ from beamseg_batch.geometry import FloatArray, RigidTransform, covariance_along
 
 __all__ = [
     "STAGES",
+    "Candidate",
     "DepthNoise",
     "Detections",
     "FlightResult",
@@ -27,6 +28,7 @@ __all__ = [
     "Joint",
     "Member",
     "RecordingInfo",
+    "RefusedLine",
     "Scan",
     "ScanRecord",
     "Segment",
@@ -322,6 +324,98 @@ class Member:
 
 
 @dataclass(frozen=True, eq=False)
+class RefusedLine:
+    """A line that screening refused.
+
+    Attributes
+    ----------
+    segment : Segment
+        What it would have been, on the surface.
+    reason : str
+        A name out of `beamseg_batch.reasons.REASONS`.
+    value, limit : float
+        What was found and what was needed, in the unit of the reason.
+    """
+
+    segment: Segment
+    reason: str
+    value: float
+    limit: float
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """Something that was or might have been a beam, and what became of it.
+
+    Attributes
+    ----------
+    stage : str
+        Where its fate was decided: ``scan`` (lines of single scans, those at one place
+        together), ``leftovers`` (lines in what no beam explains, likewise), ``gathering``,
+        ``pass`` or ``end``.
+    number : int or None
+        Its name among the candidates; None for lines.
+    in_pass : int or None
+        The pass over the rays that decided, from 1.
+    origin : str
+        ``scans``, ``leftovers`` or ``split``.
+    parent : int or None
+        The candidate that it was split from.
+    end_1, end_2 : (3,) float64, metres, world frame
+    radius : float, metres
+    n_lines : int or None
+        Lines that were found of it; None where they were not counted.
+    n_scans : int
+        Scans that saw it.
+    n_points : int
+        Points of its lines, or rays that it alone explains.
+    score : float
+        Log-likelihood ratio of the evidence, as of the pass that decided; NaN without any.
+    seen_through : float
+        Rays that saw through it, estimated; NaN where none were asked.
+    flanks : (float, float)
+        Share of the rays beside it that found something at its depth, left and right; NaN
+        where too few passed.
+    reduced_chi2 : float
+    first_seen_ns, last_seen_ns : int
+    fate : str
+        ``kept``, ``merged`` or ``refused``.
+    reason : str
+        A name out of `beamseg_batch.reasons.REASONS`; empty if it was kept.
+    value, limit : float
+        What was found and what was needed, in the unit of the reason.
+    into : int or None
+        The candidate that it gave way to.
+    segment : int or None
+        Index of the segment that it is, or gave way to.
+    """
+
+    stage: str
+    end_1: FloatArray
+    end_2: FloatArray
+    radius: float
+    fate: str
+    first_seen_ns: int
+    last_seen_ns: int
+    number: int | None = None
+    in_pass: int | None = None
+    origin: str = "scans"
+    parent: int | None = None
+    n_lines: int | None = None
+    n_scans: int = 0
+    n_points: int = 0
+    score: float = np.nan
+    seen_through: float = np.nan
+    flanks: tuple[float, float] = (np.nan, np.nan)
+    reduced_chi2: float = np.nan
+    reason: str = ""
+    value: float = np.nan
+    limit: float = np.nan
+    into: int | None = None
+    segment: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class Detections:
     """What one scan gave.
 
@@ -345,6 +439,8 @@ class Detections:
         The filtered points.
     stage_us : mapping of str to float
         Microseconds by stage, keys out of `STAGES`.
+    refused : tuple of RefusedLine
+        World frame; empty unless candidates are kept (``outputs.candidates``).
     """
 
     scan: Scan
@@ -356,6 +452,7 @@ class Detections:
     rejections: Mapping[str, int]
     cloud: NDArray[np.float32]
     stage_us: Mapping[str, float]
+    refused: tuple[RefusedLine, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -462,7 +559,7 @@ class FlightResult:
     skipped : Counter of str
         Clouds that were not processed, by reason.
     rejections : Counter of str
-        Lines and segments that were refused, by criterion.
+        Lines and candidates that were refused, by reason out of `beamseg_batch.reasons`.
     trajectory : Trajectory
     cloud : (N, 3) float32, metres, world frame
         A thinned cloud of the whole flight.
@@ -473,6 +570,8 @@ class FlightResult:
     warnings : tuple of str
     interrupted : bool
         True when the flight was not read to its end.
+    candidates : tuple of Candidate or None
+        None unless they are kept (``outputs.candidates``).
     """
 
     segments: tuple[Segment, ...]
@@ -489,3 +588,4 @@ class FlightResult:
     wall_s: float
     warnings: tuple[str, ...] = ()
     interrupted: bool = False
+    candidates: tuple[Candidate, ...] | None = None

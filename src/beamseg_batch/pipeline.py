@@ -13,11 +13,12 @@ from typing import Protocol
 import numpy as np
 
 from beamseg_batch.config import RunConfig
-from beamseg_batch.detection import DEFAULT_NOISE, Detector, depth_noise
+from beamseg_batch.detection import DEFAULT_NOISE, Detector, Refusals, depth_noise
 from beamseg_batch.errors import BeamsegError, NoScansError, WorkerError
 from beamseg_batch.foreground import thin_foreground
 from beamseg_batch.geometry import RigidTransform
 from beamseg_batch.model import (
+    Candidate,
     DepthNoise,
     Detections,
     FlightResult,
@@ -27,17 +28,20 @@ from beamseg_batch.model import (
     SkippedScan,
 )
 from beamseg_batch.parallel import Workers
+from beamseg_batch.reasons import LEFTOVER
 from beamseg_batch.recording import Flight, Recording, open_flight
 from beamseg_batch.structure import (
     EvidenceStructure,
     LeftoverQuestion,
     Leftovers,
+    RefusedLines,
     Structure,
     ThinnedCloud,
     intersections_of,
     joints_of,
     members_of,
 )
+from beamseg_batch.structure.fates import MOST_LINES
 
 _SCANS_A_BATCH = 25
 _SCANS_SENT = 5
@@ -116,7 +120,7 @@ def process_flight(
         noise = _noise(flight, config)
         detect = Detector(config, noise)
         structure = _structure(config, noise)
-        log = _FlightLog(config)
+        log = _FlightLog(config, noise)
         passes = config.refinement.passes if isinstance(structure, EvidenceStructure) else 0
         progress.begin(flight.n_clouds * (1 + passes))
         try:
@@ -189,7 +193,7 @@ def _refine(
     """Ask all rays of the flight about the beams found so far, pass by pass."""
     for number in range(passes):
         if structure.wants_leftovers:
-            _search_leftovers(structure, detect, flight, workers)
+            _search_leftovers(structure, detect, flight, workers, log)
         question = structure.question()
         sums = question.sums()
         for scans, answer in workers.map(question.ask, _batches(flight)):
@@ -210,15 +214,19 @@ def _refine(
 
 
 def _search_leftovers(
-    structure: EvidenceStructure, detect: Detector, flight: Flight, workers: Workers
+    structure: EvidenceStructure,
+    detect: Detector,
+    flight: Flight,
+    workers: Workers,
+    log: _FlightLog,
 ) -> None:
     """Look for beams that no scan alone shows, among what the others leave unexplained."""
     search = _LeftoverSearch(structure.leftover_question(), detect)
-    structure.propose(
-        (segment, left)
-        for _, (left, segments) in workers.map(search, _batches(flight))
-        for segment in segments
-    )
+    found: list[tuple[Segment, Leftovers]] = []
+    for _, (left, segments, refusals) in workers.map(search, _batches(flight)):
+        found += [(segment, left) for segment in segments]
+        log.add_leftovers(refusals)
+    structure.propose(found)
 
 
 @dataclass(frozen=True)
@@ -228,9 +236,12 @@ class _LeftoverSearch:
     question: LeftoverQuestion
     detect: Detector
 
-    def __call__(self, scans: list[Scan]) -> tuple[Leftovers, list[Segment]]:
+    def __call__(self, scans: list[Scan]) -> tuple[Leftovers, list[Segment], Refusals]:
         left = self.question.ask(scans)
-        return replace(left, points=left.points[:0]), self.detect.in_cloud(left.points)
+        refusals = Refusals(keep=self.detect.config.outputs.candidates)
+        segments = self.detect.in_cloud(left.points, refusals)
+        refusals.move(RigidTransform.identity(), left.stamp_ns)
+        return replace(left, points=left.points[:0]), segments, refusals
 
 
 def _batches(flight: Flight) -> Iterator[list[Scan]]:
@@ -309,7 +320,7 @@ def warm_up(like: RunConfig) -> None:
 class _FlightLog:
     """What is told of a flight beside its structure: scans, skips, times, the cloud."""
 
-    def __init__(self, config: RunConfig) -> None:
+    def __init__(self, config: RunConfig, noise: DepthNoise) -> None:
         self.config = config
         self.start = time.perf_counter()
         self.scans: list[ScanRecord] = []
@@ -322,6 +333,8 @@ class _FlightLog:
         self.interrupted = False
         leaf_size = config.filtering.leaf_size(max(config.filtering.radii))
         self.cloud = ThinnedCloud(config.outputs.cloud_points, leaf_size)
+        self.refused = RefusedLines(noise.constant, "scan")
+        self.refused_leftovers = RefusedLines(noise.constant, "leftovers")
 
     @property
     def n_clouds(self) -> int:
@@ -334,6 +347,7 @@ class _FlightLog:
     def add(self, detections: Detections, fuse_us: float, n_segments: int) -> None:
         scan, stage_us = detections.scan, {**detections.stage_us, "fuse": fuse_us}
         self.rejections.update(detections.rejections)
+        self.refused.add(detections.refused)
         self.n_window += detections.n_points_window
         self.n_returns += detections.n_points_raw
         self.cloud.add(detections.cloud)
@@ -351,6 +365,11 @@ class _FlightLog:
                 stage_us=stage_us,
             )
         )
+
+    def add_leftovers(self, refusals: Refusals) -> None:
+        counts = {LEFTOVER + reason: count for reason, count in refusals.counts.items()}
+        self.rejections.update(counts)
+        self.refused_leftovers.add(refusals.lines)
 
     def stop(self, reason: str) -> None:
         self.interrupted = True
@@ -396,9 +415,31 @@ class _FlightLog:
             recording=flight.info,
             config=self.config,
             wall_s=time.perf_counter() - self.start,
-            warnings=(*flight.info.damage_notes, *self._skip_warnings(), *self.warnings),
+            warnings=(
+                *flight.info.damage_notes,
+                *self._skip_warnings(),
+                *self._candidate_warnings(),
+                *self.warnings,
+            ),
             interrupted=self.interrupted,
+            candidates=self._candidates(structure),
         )
+
+    def _candidates(self, structure: Structure | EvidenceStructure) -> tuple[Candidate, ...] | None:
+        """All that might have been a beam, from the first stage to the last, if it is kept."""
+        if not self.config.outputs.candidates:
+            return None
+        lines = (*self.refused.candidates(), *self.refused_leftovers.candidates())
+        return (*lines, *structure.candidates())
+
+    def _candidate_warnings(self) -> list[str]:
+        left_out = self.refused.n_left_out + self.refused_leftovers.n_left_out
+        if not left_out:
+            return []
+        return [
+            f"candidates.parquet leaves out {left_out} refused lines: it keeps those at "
+            f"{MOST_LINES} places; they are counted all the same"
+        ]
 
     def _skip_warnings(self) -> list[str]:
         if self.first_skip is None:

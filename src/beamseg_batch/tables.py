@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from beamseg_batch.errors import RunError, ShapeError
 
 __all__ = [
+    "CANDIDATES",
     "INTERSECTIONS",
     "JOINTS",
     "MEMBERS",
@@ -34,11 +35,20 @@ __all__ = [
     "TRUTH_TABLES",
     "Column",
     "ColumnArrays",
+    "Kind",
     "Table",
 ]
 
 ColumnArrays: TypeAlias = dict[str, NDArray[Any]]
 """Values by column name, all of the same length: int64, float64 or objects."""
+
+_STORED = {
+    "int": "int64",
+    "float": "float64",
+    "text": "string",
+    "number": "int64 or null",
+    "flag": "bool or null",
+}  # in a Parquet file, which needs no text
 
 Kind: TypeAlias = Literal["int", "float", "text", "number", "flag"]
 _Row: TypeAlias = tuple[int, list[str]]  # the line of the file on which it ends, and its texts
@@ -155,7 +165,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """One CSV file of a run or of a truth.
+    """One file of a run or of a truth: CSV, or Parquet by its name.
 
     Attributes
     ----------
@@ -179,7 +189,7 @@ class Table:
     @property
     def name(self) -> str:
         """File name without its extension."""
-        return self.file_name.removesuffix(".csv")
+        return self.file_name.rpartition(".")[0]
 
     @property
     def column_names(self) -> tuple[str, ...]:
@@ -260,15 +270,17 @@ class Table:
         str
             Markdown: the meaning, then a table with a row per column.
         """
+        is_text = self.file_name.endswith(".csv")
         stability = "The same bytes" if self.deterministic else "Other numbers"
         lines = [
             f"{self.meaning} {stability} when {self.repeated}.",
             "",
-            "| column | unit | written as | meaning |",
+            f"| column | unit | {'written as' if is_text else 'type'} | meaning |",
             "|---|---|---|---|",
         ]
         lines += [
-            f"| `{column.name}` | {column.unit or '–'} | {column.format} | {column.meaning} |"
+            f"| `{column.name}` | {column.unit or '–'} | "
+            f"{column.format if is_text else _STORED[column.kind]} | {column.meaning} |"
             for column in self.columns
         ]
         return "\n".join(lines) + "\n"
@@ -491,8 +503,63 @@ PROCESSING_TIME = Table(
 )
 """Times of every scan. The first four columns are those of the original node."""
 
+CANDIDATES = Table(
+    "candidates.parquet",
+    "One row per thing that was or might have been a beam, in the order in which its fate was "
+    "decided, in the world frame; lines of single scans that were refused at one place for one "
+    "reason are one row.",
+    (
+        Column(
+            "stage",
+            "",
+            "Where its fate was decided: `scan` (lines of scans), `leftovers` (lines in what no "
+            "beam explains), `gathering` (too few sightings), `pass` or `end`",
+            kind="text",
+        ),
+        _number("pass", "The pass over the rays that decided, from 1; null at other stages"),
+        _number("candidate", "Number of the candidate; null for what was never asked about"),
+        Column("origin", "", "Where it came from: `scans`, `leftovers` or `split`", kind="text"),
+        _number("parent", "The candidate that it was split from"),
+        _metres("x1", "First end, x"),
+        _metres("y1", "First end, y"),
+        _metres("z1", "First end, z"),
+        _metres("x2", "Second end, x"),
+        _metres("y2", "Second end, y"),
+        _metres("z2", "Second end, z"),
+        _metres("radius", "Radius; of lines the one that was looked for"),
+        _number("n_lines", "Lines that were found there; null where they were not counted"),
+        _count("n_scans", "Scans that saw it"),
+        _count("n_points", "Points of its lines, or rays that it alone explains (hits)"),
+        Column("seen_through", "", "Rays that saw through it, at least; NaN where none were asked"),
+        Column(
+            "score",
+            "",
+            "Log-likelihood ratio of the evidence, as of the pass that decided; NaN without any",
+        ),
+        Column(
+            "flank_left",
+            "",
+            "Share of the rays on its left that found something at its depth; NaN if too few",
+        ),
+        Column("flank_right", "", "Likewise on its right"),
+        Column("reduced_chi2", "", "Of the fit of its axis"),
+        _count("first_stamp_ns", "Stamp of the first scan that saw it", "ns"),
+        _count("last_stamp_ns", "Stamp of the last one", "ns"),
+        Column("fate", "", "`kept`, `merged` or `refused`", kind="text"),
+        Column(
+            "reason", "", "Name of the reason, as in `summary.json`; empty if kept", kind="text"
+        ),
+        Column("value", "", "What the reason is about; of lines of the one refused most narrowly"),
+        Column("limit", "", "What the value had to reach, or not to exceed"),
+        _number("into", "The candidate that it gave way to"),
+        _number("segment", "Number of the beam that it is, or gave way to"),
+    ),
+    deterministic=True,
+)
+"""What might have been a beam, and why it is one or not; written where that is asked."""
+
 TABLES = (SEGMENTS, INTERSECTIONS, JOINTS, MEMBERS, PROCESSING_TIME)
-"""Every table of a run."""
+"""Every table that all runs have."""
 
 TRUTH = Table(
     "truth.csv",

@@ -56,6 +56,7 @@ def test_run__sums_up_on_stdout_and_logs_on_stderr(ok, flight):
     assert [line.split()[0] for line in result.stdout.splitlines()] == [
         "beams",
         "joints",
+        "not",
         "scans",
         "time",
         "report",

@@ -169,6 +169,35 @@ def test_detector__gap_reject_refuses_what_longest_run_cuts():
     refused = detect(interrupted_beam(), "detection.screening.gap=reject")
     assert refused.segments == ()
     assert refused.rejections == {"gap": 1}
+    assert refused.refused == ()  # kept only where that is asked
+
+
+def test_detector__keeps_refused_lines_in_the_world_frame():
+    asked = ("detection.screening.gap=reject", "outputs.candidates=true")
+    found = detect(interrupted_beam(), *asked)
+    (line,) = found.refused
+    assert line.reason == "gap"
+    assert line.value == pytest.approx(0.2, abs=0.03)
+    assert line.limit < line.value
+    assert line.segment.length == pytest.approx(1.6, abs=0.05)
+    assert line.segment.midpoint == pytest.approx([1.0, 0.0, lifted().translation[2]], abs=0.05)
+    assert line.segment.first_seen_ns == line.segment.last_seen_ns == found.scan.stamp_ns
+    assert len(line.segment.points) == 0
+
+
+def test_detector__of_a_line_with_too_few_points_the_stretch_that_was_judged_is_kept():
+    """The longest run has fewer than `minvotes` points; the line went on beyond a gap."""
+    points = np.tile([1.0, 0.0, 0.0], (20, 1))
+    points[:11, 1] = np.linspace(-0.8, -0.3, 11)
+    points[11:, 1] = np.linspace(0.5, 0.9, 9)
+    found = detect(
+        make_scan(points, pose=lifted()), "detection.hough.minvotes=12", "outputs.candidates=true"
+    )
+    (line,) = found.refused
+    assert found.rejections == {"too_few_points": 1}
+    assert (line.value, line.limit) == (11, 12)
+    assert line.segment.n_points == 11
+    assert line.segment.length == pytest.approx(0.5, abs=0.01)
 
 
 def leg():
@@ -189,6 +218,10 @@ def test_detector__floor_trim_segment_refuses_when_either_end_is_low():
     found = detect(leg(), "filtering.floor_trim=segment")
     assert found.segments == ()
     assert found.rejections == {"below_floor": 1}
+    kept = detect(leg(), "filtering.floor_trim=segment", "outputs.candidates=true")
+    (line,) = kept.refused
+    assert (line.reason, line.limit) == ("below_floor", 0.3)
+    assert line.value == pytest.approx(0.0, abs=0.03)
     assert len(detect(leg(), "filtering.floor_trim=segment",
                       "filtering.floor_trim_height=-0.5").segments) == 1  # fmt: skip
     assert len(detect(leg(), "filtering.floor_trim=none").segments) == 1

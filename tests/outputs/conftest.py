@@ -14,6 +14,7 @@ from beamseg_batch.config import OutputConfig, RunConfig
 from beamseg_batch.geometry import RigidTransform, line_parameters, normalised
 from beamseg_batch.model import (
     STAGES,
+    Candidate,
     FlightResult,
     Intersection,
     Joint,
@@ -160,6 +161,31 @@ def build_flight(
         "interrupted": False,
     }
     return FlightResult(**(values | changes))
+
+
+def make_candidate(**changes: Any) -> Candidate:
+    """Build a candidate that part of a wall was."""
+    values: dict[str, Any] = {
+        "stage": "pass",
+        "number": 5,
+        "in_pass": 3,
+        "end_1": np.array([8.0, 0.0, 1.0]),
+        "end_2": np.array([8.0, 1.0, 1.0]),
+        "radius": 0.05,
+        "n_scans": 12,
+        "n_points": 345,
+        "score": 900.5,
+        "seen_through": 3.25,
+        "flanks": (0.9, np.nan),
+        "reduced_chi2": 1.25,
+        "first_seen_ns": START_NS + 2 * 10**9,
+        "last_seen_ns": START_NS + 4 * 10**9,
+        "fate": "refused",
+        "reason": "not_free",
+        "value": 0.9,
+        "limit": 0.45,
+    }
+    return Candidate(**(values | changes))
 
 
 def build_empty_flight(**changes: Any) -> FlightResult:

@@ -53,11 +53,11 @@ def refine(structure, scans):
     return structure.renew(sums)
 
 
-def flown(beams, sightings, *, passes=8, seed=0, overrides=(), **seen):
+def flown(beams, sightings, *, passes=8, seed=0, config=None, **seen):
     """Structure after all passes over scans in which these segments were found, roughly."""
     rng = np.random.default_rng(seed)
     scans = [look(pose, beams, rng, stamp_ns=k, **seen) for k, pose in enumerate(POSES)]
-    structure = EvidenceStructure(load_config("precise", None, overrides), NOISE)
+    structure = EvidenceStructure(config or load_config("precise"), NOISE)
     for scan in scans:
         found = [replace(jittered(s, rng, 0.006), first_seen_ns=scan.stamp_ns) for s in sightings]
         structure.update(replace(detections(*found, stamp_ns=scan.stamp_ns), scan=scan))
@@ -102,9 +102,9 @@ def test_EvidenceStructure__asks_all_pixels_of_a_large_image_at_the_end(monkeypa
     monkeypatch.setattr(
         questions.AxisQuestion, "ask", lambda q, scans: asked.append(q.stride) or ask(q, scans)
     )
-    alone = ["refinement.leftovers=false"]
+    config = load_config("precise", None, ["refinement.leftovers=false"])
     beams = [RAIL, POST]
-    structure, _ = flown(beams, [shortened(beam) for beam in beams], passes=12, overrides=alone)
+    structure, _ = flown(beams, [shortened(beam) for beam in beams], passes=12, config=config)
     assert asked[0] == 2
     assert asked[-1] == 1
     assert sorted(asked, reverse=True) == asked
@@ -199,6 +199,54 @@ def test_rejections__say_why_a_beam_is_left_out(setting, reason):
     structure.config = load_config("precise", overrides=[setting])
     assert structure.segments() == ()
     assert structure.rejections() == {reason: 1}
+
+
+KEPT = load_config("precise", overrides=["outputs.candidates=true"])
+
+
+def test_candidates__tell_the_fate_of_every_sighting():
+    on_wall = between([1.35, -0.3, 0.7], [1.35, 0.3, 0.7])  # the axis, behind the surface
+    in_air = between([0.7, -0.3, 0.7], [0.7, 0.3, 0.7])
+    structure, _ = flown([RAIL], [shortened(RAIL), on_wall, in_air], wall=1.3, config=KEPT)
+    rows = structure.candidates()
+    assert sorted(row.number for row in rows) == [0, 1, 2]
+    (kept,) = (row for row in rows if row.fate == "kept")
+    assert (kept.stage, kept.segment, kept.reason) == ("end", 0, "")
+    (segment,) = structure.segments()
+    np.testing.assert_allclose([kept.end_1, kept.end_2], [segment.end_1, segment.end_2])
+    refused = {row.reason: row for row in rows if row.fate == "refused"}
+    assert structure.rejections() == dict.fromkeys(refused, 1)
+    np.testing.assert_allclose(refused["not_free"].end_1[0], 1.35, atol=0.1)
+    assert max(refused["not_free"].flanks) > 0.45
+    assert refused["no_evidence"].seen_through > 100.0
+    assert refused["no_evidence"].in_pass == 1
+
+
+def test_candidates__found_in_too_few_scans():
+    structure, scans = flown([RAIL], [shortened(RAIL)], passes=0, config=KEPT)
+    once = between([0.8, 0.12, 0.6], [0.8, 0.12, 1.4])
+    structure.update(replace(detections(once, stamp_ns=99), scan=scans[0]))
+    refine(structure, scans)
+    assert structure.rejections() == {"too_few_sightings": 1}
+    seldom = structure.candidates()[0]
+    assert (seldom.stage, seldom.number, seldom.value, seldom.limit) == ("gathering", None, 1, 3)
+
+
+def test_candidates__are_the_same_before_any_pass():
+    structure, _ = flown([RAIL], [shortened(RAIL)], passes=0, config=KEPT)
+    (row,) = structure.candidates()
+    assert (row.fate, row.segment) == ("kept", 0)
+    assert np.isnan(row.score)
+
+
+@pytest.mark.parametrize("beams", [[RAIL], []])
+def test_candidates__keeping_them_changes_nothing(beams):
+    sightings = [shortened(RAIL)]
+    one, _ = flown(beams, sightings, wall=1.3, config=KEPT)
+    other, _ = flown(beams, sightings, wall=1.3)
+    assert one.rejections() == other.rejections()
+    for a, b in zip(one.segments(), other.segments(), strict=True):
+        np.testing.assert_array_equal([a.end_1, a.end_2], [b.end_1, b.end_2])
 
 
 def test_leftovers__are_what_no_beam_explains():

@@ -189,6 +189,13 @@ def test_segments__seen_too_rarely_or_too_short_are_left_out():
     structure = build([once, often, short, third], [often, short, third], config=config)
     assert [s.n_scans for s in structure.segments()] == [2, 2]
     assert structure.rejections() == {"too_few_scans": 1, "too_short": 1}
+    rows = structure.candidates()
+    assert [row.segment for row in rows if row.fate == "kept"] == [0, 1]
+    assert [row.number for row in rows] == [0, 1, 2, 3]
+    assert {row.reason: (row.value, row.limit) for row in rows if row.reason} == {
+        "too_few_scans": (1, 2),
+        "too_short": (pytest.approx(0.3), 0.5),
+    }
     assert pairs(structure) == [(0, 1)], "numbers are those of the segments given out"
     assert structure.intersections()[0].position[0] == pytest.approx(1.5)
     assert len(structure) == 4

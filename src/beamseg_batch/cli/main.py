@@ -24,6 +24,7 @@ COMMANDS: Mapping[str, str] = {
     "config": "Show, check and document the configuration.",
     "simulate": "Fly a camera through a known world: a recording with its truth.",
     "evaluate": "Measure a run against the truth.",
+    "explain": "Say why there is, or is not, a beam at a place.",
     "compare": "Hold two runs against each other.",
 }
 """Commands, in the order of `--help`, with the line it shows for each."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -52,6 +53,12 @@ __all__ = ["command"]
     default=1,
     help="Processes that share the work; 0 for all cores. The results are the same.",
 )
+@click.option(
+    "--keep-candidates",
+    "keep",
+    is_flag=True,
+    help="Write candidates.parquet too, for 'beamseg explain'.",
+)
 @config_options
 @click.option("--json", "as_json", is_flag=True, help="Print summary.json on stdout.")
 @verbosity_options
@@ -60,6 +67,7 @@ def command(
     output: Path | None,
     overwrite: bool,
     jobs: int,
+    keep: bool,
     options: ConfigOptions,
     as_json: bool,
     verbose: bool,
@@ -84,6 +92,9 @@ def command(
     from beamseg_batch.parallel import load_ahead, one_thread_each
 
     one_thread_each()
+    if keep:
+        settings = (*options.settings, "outputs.candidates=true")
+        options = dataclasses.replace(options, settings=settings)
     config = options.load()
     if jobs != 1:
         load_ahead()
@@ -111,7 +122,7 @@ def command(
     if as_json:
         say(json.dumps(written.summary, indent=2))
     elif level >= 1:
-        say(_five_lines(result, written))
+        say(_six_lines(result, written))
     if result.interrupted:
         warn(f"incomplete: {result.warnings[-1]}; what is known is in {written.folder}")
         click.get_current_context().exit(INTERRUPTED if asked else FAILED)
@@ -164,8 +175,11 @@ def _tell(result: FlightResult, level: int) -> None:
             )
 
 
-def _five_lines(result: FlightResult, written: WrittenRun) -> str:
+def _six_lines(result: FlightResult, written: WrittenRun) -> str:
     """Sum a run up for the person who started it."""
+    from beamseg_batch.reasons import in_words
+
+    refused = in_words(result.rejections, "candidates")
     length = sum(segment.length for segment in result.segments)
     median_ms = written.summary["processing"]["p50_ms"]
     pace = "" if median_ms is None else f", {median_ms:.1f} ms a scan (median)"
@@ -176,6 +190,7 @@ def _five_lines(result: FlightResult, written: WrittenRun) -> str:
             + (f", the longest {longest.length:.2f} m" if longest else ""),
             f"joints         {len(result.joints)}, "
             f"{len(result.intersections)} pairs of beams touch",
+            f"not beams      {refused or 'no candidate was refused'}",
             f"scans          {len(result.scans)} used, {result.skipped.total()} skipped, "
             f"{result.recording.duration_s:.1f} s of flight",
             f"time           {result.wall_s:.1f} s{pace}",

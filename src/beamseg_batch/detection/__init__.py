@@ -1,7 +1,7 @@
 """A scan -> its segments: filtering, iterative Hough transform, screening."""
 
-from beamseg_batch.detection.detector import Detector
+from beamseg_batch.detection.detector import Detector, Refusals
 from beamseg_batch.detection.hough import HoughLine, iterative_hough
 from beamseg_batch.noise import DEFAULT_NOISE, depth_noise
 
-__all__ = ["DEFAULT_NOISE", "Detector", "HoughLine", "depth_noise", "iterative_hough"]
+__all__ = ["DEFAULT_NOISE", "Detector", "HoughLine", "Refusals", "depth_noise", "iterative_hough"]

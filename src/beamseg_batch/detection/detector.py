@@ -15,10 +15,10 @@ from beamseg_batch.detection.hough import iterative_hough
 from beamseg_batch.detection.screening import Rejection, screen
 from beamseg_batch.foreground import thin_foreground
 from beamseg_batch.geometry import FloatArray, RigidTransform, distances_to_line, line_parameters
-from beamseg_batch.model import DepthNoise, Detections, Scan, Segment
+from beamseg_batch.model import DepthNoise, Detections, RefusedLine, Scan, Segment
 from beamseg_batch.noise import DEFAULT_NOISE
 
-__all__ = ["Detector"]
+__all__ = ["Detector", "Refusals"]
 
 _POOLED_PCA = 0.9
 
@@ -52,7 +52,7 @@ class Detector:
         clock = _StageClock()
         cropped = crop_scan(scan, self.config.filtering)
         candidates = self._foreground(scan, cropped)
-        rejections: Counter[str] = Counter()
+        refusals = Refusals(keep=self.config.outputs.candidates)
         found: list[Segment] = []
         clouds: list[FloatArray] = []
         left, num_lines = candidates, 0
@@ -63,7 +63,7 @@ class Detector:
             cloud = voxel_grid(left, self.config.filtering.leaf_size(radius))
             clouds.append(cloud)
             clock.lap("filter")
-            segments, lines = self._search(cloud, radius, rejections, clock)
+            segments, lines = self._search(cloud, radius, refusals, clock)
             found += segments
             num_lines += lines
         if self.config.detection.axis == "cylinder" and found:
@@ -71,7 +71,8 @@ class Detector:
             found = [fit_segment_axis(segment, returns) for segment in found]
         T_world_sensor = scan.T_world_sensor
         in_world = [_to_world(segment, T_world_sensor, scan.stamp_ns) for segment in found]
-        in_world = self._above_floor(in_world, rejections)
+        refusals.move(T_world_sensor, scan.stamp_ns)
+        in_world = self._above_floor(in_world, refusals)
         clock.lap("screen")
         return Detections(
             scan=scan,
@@ -80,9 +81,10 @@ class Detector:
             n_points_window=cropped.num_window,
             n_points_filtered=len(clouds[0]),
             n_lines=num_lines,
-            rejections=rejections,
+            rejections=refusals.counts,
             cloud=T_world_sensor.apply(clouds[0]).astype(np.float32),
             stage_us={"read": scan.read_us, **clock.stage_us},
+            refused=tuple(refusals.lines),
         )
 
     def _foreground(self, scan: Scan, cropped: CroppedCloud) -> FloatArray:
@@ -95,7 +97,7 @@ class Detector:
         thin = thin_foreground(scan, thickest, reach, self.noise, floor)
         return cropped.points if thin is scan else crop_scan(thin, filtering).points
 
-    def in_cloud(self, points: FloatArray) -> list[Segment]:
+    def in_cloud(self, points: FloatArray, refusals: Refusals | None = None) -> list[Segment]:
         """Find the segments of a cloud pooled from several scans.
 
         Points from all sides make a short beam thick, so less of their variance needs to
@@ -105,6 +107,8 @@ class Detector:
         ----------
         points : (N, 3) float64, metres
             Finite.
+        refusals : Refusals, optional
+            Takes the lines that are refused.
 
         Returns
         -------
@@ -112,16 +116,17 @@ class Detector:
             On the surface, in the frame of the points.
         """
         found: list[Segment] = []
+        refusals = refusals or Refusals()
         for radius in sorted(self.config.filtering.radii, reverse=True):
             cloud = voxel_grid(points, self.config.filtering.leaf_size(radius))
-            found += self._search(cloud, radius, Counter(), _StageClock(), pooled=True)[0]
+            found += self._search(cloud, radius, refusals, _StageClock(), pooled=True)[0]
         return found
 
     def _search(
         self,
         cloud: FloatArray,
         radius: float,
-        rejections: Counter[str],
+        refusals: Refusals,
         clock: _StageClock,
         pooled: bool = False,
     ) -> tuple[list[Segment], int]:
@@ -156,7 +161,7 @@ class Detector:
                 screening,
             )
             if isinstance(verdict, Rejection):
-                rejections[verdict.reason] += 1
+                refusals.add(verdict)
             else:
                 kept.append(verdict)
             clock.lap("screen")
@@ -178,14 +183,59 @@ class Detector:
             points = points[~(close & (t >= segment.t_min) & (t <= segment.t_max))]
         return points
 
-    def _above_floor(self, segments: list[Segment], rejections: Counter[str]) -> list[Segment]:
+    def _above_floor(self, segments: list[Segment], refusals: Refusals) -> list[Segment]:
         """Refuse segments with an end below the floor trim (report, section 3.2.5)."""
         if self.config.filtering.floor_trim != "segment":
             return segments
         floor = self.config.filtering.floor_trim_height
-        kept = [s for s in segments if min(s.end_1[2], s.end_2[2]) > floor]
-        rejections["below_floor"] += len(segments) - len(kept)
+        kept = []
+        for segment in segments:
+            lowest = min(segment.end_1[2], segment.end_2[2])
+            if lowest > floor:
+                kept.append(segment)
+            else:
+                refusals.add(Rejection("below_floor", float(lowest), floor, segment))
         return kept
+
+
+class Refusals:
+    """Lines that are refused: counted, and themselves kept only where that is asked.
+
+    Parameters
+    ----------
+    keep : bool
+
+    Attributes
+    ----------
+    counts : Counter of str
+        By reason.
+    lines : list of RefusedLine
+        In the frame of what they were found in, until they are moved.
+    """
+
+    def __init__(self, *, keep: bool = False) -> None:
+        self.counts: Counter[str] = Counter()
+        self.lines: list[RefusedLine] = []
+        self._keep = keep
+
+    def add(self, rejection: Rejection) -> None:
+        """Take in what screening says of a line."""
+        self.counts[rejection.reason] += 1
+        segment = rejection.segment
+        if not self._keep or segment is None:
+            return
+        if rejection.t is not None:  # the stretch that was judged
+            low, high = float(rejection.t.min()), float(rejection.t.max())
+            segment = replace(segment, t_min=low, t_max=high, n_points=len(rejection.t))
+        line = replace(segment, points=np.empty((0, 3)))
+        self.lines.append(RefusedLine(line, rejection.reason, rejection.value, rejection.limit))
+
+    def move(self, T_world_sensor: RigidTransform, stamp_ns: int) -> None:
+        """Move the lines to the world frame, and say when they were seen."""
+        self.lines = [
+            replace(line, segment=_to_world(line.segment, T_world_sensor, stamp_ns))
+            for line in self.lines
+        ]
 
 
 def _to_world(segment: Segment, T_world_sensor: RigidTransform, stamp_ns: int) -> Segment:

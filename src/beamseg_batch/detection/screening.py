@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -24,10 +24,10 @@ __all__ = [
     "segment_from_points",
 ]
 
-Reason = Literal["too_few_points", "wrong_radius", "gap", "low_pca_coeff"]
+Reason = Literal["too_few_points", "wrong_radius", "gap", "low_pca_coeff", "below_floor"]
 
 REJECTION_REASONS: tuple[Reason, ...] = ("too_few_points", "wrong_radius", "gap", "low_pca_coeff")
-"""The criteria, in the order in which they are asked."""
+"""The criteria, in the order in which they are asked; the detector adds the floor."""
 
 
 _NO_LENGTH_M = 1e-9  # copies of one point have no direction
@@ -40,10 +40,20 @@ class Rejection:
     Attributes
     ----------
     reason : str
-        One of `REJECTION_REASONS`.
+        One of `REJECTION_REASONS`, or ``below_floor``.
+    value, limit : float
+        What was found and what was needed, in the unit of the reason.
+    segment : Segment or None
+        What the line would have been; None where its points have no direction.
+    t : (N,) float64, metres, or None
+        Where the points that were judged lie along it; None for all of its points.
     """
 
     reason: Reason
+    value: float = field(default=math.nan, compare=False)
+    limit: float = field(default=math.nan, compare=False)
+    segment: Segment | None = field(default=None, compare=False)
+    t: FloatArray | None = field(default=None, compare=False)
 
     def __bool__(self) -> bool:
         return False
@@ -90,19 +100,20 @@ def screen(
     if has_gap and config.gap == "longest_run":
         points, has_gap = points[run], False
         if len(points) < minvotes:
-            return Rejection("too_few_points")
+            return Rejection("too_few_points", len(points), minvotes, segment, t[run])
         segment, t, furthest = _fitted(points, direction, radius)
     if segment.length < _NO_LENGTH_M:
-        return Rejection("too_few_points")
+        return Rejection("too_few_points", 1, minvotes)
     needed = config.min_points_factor * min_number_of_points(segment.length, radius, leaf_size)
     if len(points) < needed:
-        return Rejection("too_few_points")
-    if abs(furthest - radius) >= config.radius_tolerance_factor * diag_voxel:
-        return Rejection("wrong_radius")
+        return Rejection("too_few_points", len(points), needed, segment)
+    tolerance = config.radius_tolerance_factor * diag_voxel
+    if abs(furthest - radius) >= tolerance:
+        return Rejection("wrong_radius", abs(furthest - radius), tolerance, segment)
     if has_gap:
-        return Rejection("gap")
+        return Rejection("gap", float(np.diff(np.sort(t)).max()), max_gap, segment)
     if segment.pca_coeff < config.min_pca_coeff:
-        return Rejection("low_pca_coeff")
+        return Rejection("low_pca_coeff", segment.pca_coeff, config.min_pca_coeff, segment)
     return segment
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from beamseg_batch.geometry import FloatArray, line_parameters
 from beamseg_batch.model import (
     STAGES,
+    Candidate,
     FlightResult,
     Intersection,
     Joint,
@@ -19,6 +20,7 @@ from beamseg_batch.model import (
 from beamseg_batch.tables import ColumnArrays
 
 __all__ = [
+    "candidate_columns",
     "intersection_columns",
     "intersections_from_columns",
     "joint_columns",
@@ -204,6 +206,43 @@ def processing_time_columns(scans: Sequence[ScanRecord]) -> ColumnArrays:
         times = [s.stage_us.get(stage, 0.0) for s in scans]
         columns[f"{stage}_us"] = np.array(times, dtype=np.float64)
     return columns
+
+
+def candidate_columns(candidates: Sequence[Candidate]) -> ColumnArrays:
+    """Columns of `candidates.parquet`.
+
+    Parameters
+    ----------
+    candidates : sequence of Candidate
+
+    Returns
+    -------
+    mapping of str to (N,) array
+    """
+    columns: ColumnArrays = {
+        name: np.array([getattr(one, name) for one in candidates], dtype=object)
+        for name in ("stage", "origin", "fate", "reason")
+    }
+    for name, attribute in (
+        ("pass", "in_pass"),
+        ("candidate", "number"),
+        ("parent", "parent"),
+        ("n_lines", "n_lines"),
+        ("into", "into"),
+        ("segment", "segment"),
+    ):
+        columns[name] = _numbers([getattr(one, attribute) for one in candidates])
+    for name in ("radius", "score", "seen_through", "reduced_chi2", "value", "limit"):
+        columns[name] = np.array([getattr(one, name) for one in candidates], dtype=np.float64)
+    for name in ("n_scans", "n_points"):
+        columns[name] = np.array([getattr(one, name) for one in candidates], dtype=np.int64)
+    for k, name in enumerate(("flank_left", "flank_right")):
+        columns[name] = np.array([one.flanks[k] for one in candidates], dtype=np.float64)
+    for name in ("first", "last"):
+        stamps = [getattr(one, f"{name}_seen_ns") for one in candidates]
+        columns[f"{name}_stamp_ns"] = np.array(stamps, dtype=np.int64)
+    columns |= _vectors(("x1", "y1", "z1"), [one.end_1 for one in candidates])
+    return columns | _vectors(("x2", "y2", "z2"), [one.end_2 for one in candidates])
 
 
 def segments_from_columns(

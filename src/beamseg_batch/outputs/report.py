@@ -22,12 +22,14 @@ from beamseg_batch.outputs.figures import (
 from beamseg_batch.outputs.summary import summarise
 from beamseg_batch.pages.figures import Figure
 from beamseg_batch.pages.rendering import render_page
+from beamseg_batch.reasons import REASONS
 
 __all__ = ["MAX_TABLE_ROWS", "render_report"]
 
 MAX_TABLE_ROWS = 800
 """Rows of a table in the page; the CSV file has them all."""
 
+_KINDS = {"lines": "lines", "leftover_lines": "lines in the rest", "candidates": "candidates"}
 _TEMPLATE = "report.html.j2"
 
 
@@ -59,6 +61,9 @@ def render_report(result: FlightResult, summary: Mapping[str, Any] | None = None
         intersections=[_intersection_row(i) for i in result.intersections[:MAX_TABLE_ROWS]],
         joints=[_joint_row(n, joint) for n, joint in enumerate(result.joints[:MAX_TABLE_ROWS])],
         stages=_stage_rows(summary),
+        meanings={
+            name: f"{_KINDS[reason.kind]} {reason.meaning}" for name, reason in REASONS.items()
+        },
         beams_detail=_beams_detail(result.segments),
         max_beams=MAX_BEAMS,
         config_yaml=config_yaml(result.config),

@@ -13,7 +13,14 @@ from beamseg_batch.config import RunConfig, config_yaml
 from beamseg_batch.errors import RunError
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import FlightResult, Intersection, Joint, Member, Segment
+from beamseg_batch.outputs.candidates_file import (
+    CANDIDATES_FILE,
+    candidates_parquet,
+    check_parquet,
+    read_candidates,
+)
 from beamseg_batch.outputs.columns import (
+    candidate_columns,
     intersection_columns,
     intersections_from_columns,
     joint_columns,
@@ -140,6 +147,17 @@ class Run:
         """The arrays of `structure.npz`, by name."""
         return read_structure(self.folder / STRUCTURE_FILE)
 
+    @cached_property
+    def candidates(self) -> ColumnArrays | None:
+        """What might have been a beam, as arrays by column name; None where it was not kept."""
+        file = self.folder / CANDIDATES_FILE
+        return read_candidates(file) if CANDIDATES_FILE in self._files else None
+
+    @property
+    def _files(self) -> list[str]:
+        files = self.summary.get("files")
+        return files if isinstance(files, list) else []
+
     def _covariances(self, name: str, table: Table) -> FloatArray:
         """Covariances of the rows of a table."""
         covariances: FloatArray = self.structure[name]
@@ -171,7 +189,8 @@ def planned_files(config: RunConfig) -> tuple[str, ...]:
     tuple of str
     """
     names = [*(table.file_name for table in TABLES), STRUCTURE_FILE, CONFIG_FILE, MANIFEST]
-    return tuple(sorted(names + [REPORT_FILE] * config.outputs.report))
+    names += [REPORT_FILE] * config.outputs.report + [CANDIDATES_FILE] * config.outputs.candidates
+    return tuple(sorted(names))
 
 
 def check_output(path: Path, config: RunConfig, *, overwrite: bool = False) -> None:
@@ -188,7 +207,11 @@ def check_output(path: Path, config: RunConfig, *, overwrite: bool = False) -> N
     ------
     OutputError
         As `write_run` would, except for what changes until then.
+    MissingExtraError
+        If candidates are to be kept and the library for it is not installed.
     """
+    if config.outputs.candidates:
+        check_parquet()
     OutputFolder.check(path, overwrite=overwrite, names=planned_files(config))
 
 
@@ -211,10 +234,14 @@ def write_run(result: FlightResult, path: Path, *, overwrite: bool = False) -> W
     ------
     OutputError
         If the folder is occupied or cannot be written.
+    MissingExtraError
+        If candidates are to be kept and the library for it is not installed.
     """
     contents = _table_files(result)
     contents[STRUCTURE_FILE] = structure_npz(structure_arrays(result))
     contents[CONFIG_FILE] = encoded(config_yaml(result.config))
+    if result.config.outputs.candidates:
+        contents[CANDIDATES_FILE] = candidates_parquet(candidate_columns(result.candidates or ()))
     files = planned_files(result.config)
     summary = summarise(result, files, results_sha256(contents))
     if result.config.outputs.report:

@@ -15,6 +15,7 @@ import numpy as np
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import STAGES, FlightResult, RecordingInfo, ScanRecord
 from beamseg_batch.outputs.columns import time_origin_ns
+from beamseg_batch.reasons import KINDS, LEFTOVER, REASONS
 from beamseg_batch.tables import TABLES
 
 __all__ = ["SCHEMA_VERSION", "results_sha256", "summarise", "summary_json"]
@@ -48,6 +49,7 @@ def summarise(result: FlightResult, files: Iterable[str], results_hash: str) -> 
         "recording": _recording(result),
         "profile": result.config.profile,
         "counts": _counts(result),
+        "rejections": _rejections(result),
         "totals": {
             "beam_length_m": math.fsum(segment.length for segment in result.segments),
             "wall_s": result.wall_s,
@@ -171,6 +173,18 @@ def _counts(result: FlightResult) -> dict[str, Any]:
         "intersections": len(result.intersections),
         "joints": len(result.joints),
         "members": len(result.members),
+    }
+
+
+def _rejections(result: FlightResult) -> dict[str, dict[str, int]]:
+    """How many were refused for each reason: lines of scans, of leftovers, and candidates."""
+    return {
+        kind: {
+            reason.name.removeprefix(LEFTOVER): result.rejections[reason.name]
+            for reason in REASONS.values()
+            if reason.kind == kind
+        }
+        for kind in KINDS
     }
 
 

@@ -2,6 +2,7 @@
 
 from beamseg_batch.structure.cloud import ThinnedCloud
 from beamseg_batch.structure.evidence import EvidenceStructure
+from beamseg_batch.structure.fates import RefusedLines
 from beamseg_batch.structure.intersections import intersections_of
 from beamseg_batch.structure.joints import joints_of
 from beamseg_batch.structure.members import members_of
@@ -12,6 +13,7 @@ __all__ = [
     "EvidenceStructure",
     "LeftoverQuestion",
     "Leftovers",
+    "RefusedLines",
     "Structure",
     "ThinnedCloud",
     "intersections_of",

@@ -41,18 +41,30 @@ class Candidates:
     def __len__(self) -> int:
         return len(self._groups)
 
-    def add(self, segment: Segment) -> None:
+    def nearest(self, segment: Segment) -> int:
+        """Return the index of the candidate that a sighting belongs to, -1 if there is none."""
+        found: int = nearest_candidate(
+            self._rows[: len(self._groups)], segment.end_1, segment.end_2, segment.radius,
+            self._most_offset, _MOST_ANGLE, _BRIDGE_M,
+        )  # fmt: skip
+        return found
+
+    def add(self, segment: Segment, index: int | None = None) -> int:
         """Take in a sighting.
 
         Parameters
         ----------
         segment : Segment
             World frame, on the beam's axis.
+        index : int, optional
+            What `nearest` says of it.
+
+        Returns
+        -------
+        int
+            Index of the candidate that it belongs to.
         """
-        index = nearest_candidate(
-            self._rows[: len(self._groups)], segment.end_1, segment.end_2, segment.radius,
-            self._most_offset, _MOST_ANGLE, _BRIDGE_M,
-        )  # fmt: skip
+        index = self.nearest(segment) if index is None else index
         if index < 0:
             index = len(self._groups)
             self._groups.append(_Group(segment))
@@ -60,10 +72,15 @@ class Candidates:
                 self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
         self._groups[index].add(segment)
         self._rows[index] = self._groups[index].row()
+        return index
 
     def beams(self, min_scans: int) -> list[Beam]:
         """Candidates seen in enough scans."""
-        return [group.beam() for group in self._groups if group.sightings >= min_scans]
+        return [beam for beam, sightings in self.all() if sightings >= min_scans]
+
+    def all(self) -> list[tuple[Beam, int]]:
+        """Every candidate with the number of its sightings, in order of the first."""
+        return [(group.beam(), group.sightings) for group in self._groups]
 
 
 class _Group:

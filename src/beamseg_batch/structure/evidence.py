@@ -10,9 +10,10 @@ import numpy as np
 
 from beamseg_batch.config import RunConfig
 from beamseg_batch.geometry import FloatArray
-from beamseg_batch.model import DepthNoise, Detections, Intersection, Segment
+from beamseg_batch.model import Candidate, DepthNoise, Detections, Intersection, Segment
 from beamseg_batch.structure.candidates import Candidates
 from beamseg_batch.structure.ends import with_measured_ends
+from beamseg_batch.structure.fates import Fates, Refusal
 from beamseg_batch.structure.hypothesis import Beam, Sums
 from beamseg_batch.structure.intersections import intersections_of
 from beamseg_batch.structure.pixel_rays import PixelRays
@@ -79,12 +80,14 @@ class EvidenceStructure:
         self._pixels = PixelRays()
         self._camera = Camera(config.filtering, noise, self._pixels)
         self._candidates = Candidates(self._camera.sigma)
+        self._fewest = config.structure.min_scans  # sightings of a candidate
         self._beams: list[Beam] | None = None
         self._waiting = list(_FRESH)
         self._searches = 0
         self._known = -1  # beams when leftovers were last searched
         self._trial: RadiusTrial | None = None
         self._closely = False
+        self._fates = Fates(keep=config.outputs.candidates)
 
     def __len__(self) -> int:
         return len(self._candidates) if self._beams is None else len(self._beams)
@@ -140,14 +143,18 @@ class EvidenceStructure:
         bool
             Whether another pass would change anything.
         """
+        kind = self._next_pass()
+        self._fates.begin_pass(competing=kind.competitors != "none")
         if self._trial and not self._trial.is_over:
             if self._trial.take(sums):
                 self._beams = self._trial.winners()
             return True
-        beams, kind = self._hypothesis(), self._next_pass()
+        beams = self._hypothesis()
+        if self._beams is None:
+            beams = self._fates.numbered(beams, "scans")
         self._waiting = self._waiting[1:]
         radii = self.config.filtering.radii
-        self._beams = refined(beams, sums, self._camera.sigma, kind.rules, radii)
+        self._beams = refined(beams, sums, self._camera.sigma, kind.rules, radii, self._fates)
         if self._waiting or self.wants_leftovers or _have_moved(beams, self._beams):
             return True
         if not self._closely and self._camera.stride > 1:
@@ -193,7 +200,8 @@ class EvidenceStructure:
             stamp = left.stamp_ns
             candidates.add(replace(segment, anchor=anchor, first_seen_ns=stamp, last_seen_ns=stamp))
         if len(candidates):
-            self._beams = [*self._hypothesis(), *candidates.beams(1)]
+            fresh = self._fates.numbered(candidates.beams(1), "leftovers")
+            self._beams = [*self._hypothesis(), *fresh]
             self._waiting = list(_FRESH)
 
     def end_question(self) -> EndQuestion:
@@ -212,31 +220,52 @@ class EvidenceStructure:
 
     def _hypothesis(self) -> list[Beam]:
         if self._beams is None:
-            return self._candidates.beams(self.config.structure.min_scans)
+            return self._candidates.beams(self._fewest)
         return self._beams
 
-    def _kept(self) -> list[Beam]:
-        return [beam for beam in self._hypothesis() if self._refusal(beam) is None]
+    def _kept(self, beams: Iterable[Beam]) -> list[Beam]:
+        """Beams seen often and long enough, in order of first detection."""
+        kept = [beam for beam in beams if self._refusal(beam) is None]
+        return sorted(kept, key=lambda beam: (beam.first_seen_ns, *beam.anchor))
 
     def segments(self) -> tuple[Segment, ...]:
         """Segments seen often and long enough, in order of first detection."""
-        kept = sorted(self._kept(), key=lambda beam: (beam.first_seen_ns, *beam.anchor))
-        return tuple(_segment(beam) for beam in kept)
+        return tuple(map(_segment, self._kept(self._hypothesis())))
 
     def intersections(self) -> tuple[Intersection, ...]:
         """Intersections of those segments (algorithm 2 of the report)."""
         return intersections_of(self.segments(), self.config.structure.intersections)
 
     def rejections(self) -> Counter[str]:
-        """Beams that are left out of the result, by reason."""
-        refusals = map(self._refusal, self._hypothesis())
-        return Counter(reason for reason in refusals if reason is not None)
+        """Candidates that are no beam of the result, by reason."""
+        late = (refusal for beam in self._hypothesis() if (refusal := self._refusal(beam)))
+        refusals = [refusal for *_, refusal in self._seldom_seen()] + list(late)
+        return self._fates.counts + Counter(refusal.reason for refusal in refusals)
 
-    def _refusal(self, beam: Beam) -> str | None:
-        if self._beams is not None and beam.scans < self.config.structure.min_scans:
-            return "too_few_scans"
-        if beam.length < self.config.structure.min_length:
-            return "too_short"
+    def candidates(self) -> tuple[Candidate, ...]:
+        """All candidates and what became of them; those of passes only if they are kept."""
+        beams = self._hypothesis()
+        if self._beams is None:
+            beams = self._fates.numbered(beams, "scans")
+        numbers = {beam.number: index for index, beam in enumerate(self._kept(beams))}
+        last = [(beam, numbers.get(beam.number), self._refusal(beam)) for beam in beams]
+        return self._fates.candidates(last, self._seldom_seen())
+
+    def _seldom_seen(self) -> list[tuple[Beam, int, Refusal]]:
+        """Candidates found in too few scans to be asked about, with how often and why."""
+        return [
+            (beam, sightings, Refusal("too_few_sightings", sightings, self._fewest))
+            for beam, sightings in self._candidates.all()
+            if sightings < self._fewest
+        ]
+
+    def _refusal(self, beam: Beam) -> Refusal | None:
+        """Why a beam is left out of the result, or None."""
+        structure = self.config.structure
+        if self._beams is not None and beam.scans < structure.min_scans:
+            return Refusal("too_few_scans", beam.scans, structure.min_scans)
+        if beam.length < structure.min_length:
+            return Refusal("too_short", beam.length, structure.min_length)
         return None
 
 

@@ -59,6 +59,8 @@ class Beam:
     profile : (N,) float64
         Log-likelihood ratios along the axis, by fine bin, from `profile_start` on, metres.
     profile_start : float
+    number : int
+        Its name among the candidates, the same from pass to pass; -1 where they have none.
     """
 
     anchor: FloatArray
@@ -82,6 +84,7 @@ class Beam:
     flanks: FloatArray = field(default_factory=lambda: np.zeros((3, 2)))
     profile: FloatArray = field(default_factory=lambda: np.zeros(0))
     profile_start: float = 0.0
+    number: int = -1
 
     @property
     def normals(self) -> tuple[FloatArray, FloatArray]:
@@ -136,11 +139,14 @@ class Beam:
         """(3, 3) float64, square metres: of a point of the axis, across it."""
         return covariance_along(self.covariance, s)
 
+    def profile_between(self, first: float, last: float) -> FloatArray:
+        """(N,) float64: the bins of the profile on a stretch of the axis."""
+        low, high = ((place - self.profile_start) / FINE for place in (first, last))
+        return self.profile[max(round(low), 0) : max(round(high), 0)]
+
     def evidence_between(self, first: float, last: float) -> float:
         """Sum of the profile over a stretch of the axis."""
-        low, high = ((place - self.profile_start) / FINE for place in (first, last))
-        bins = slice(max(round(low), 0), max(round(high), 0))
-        return float(self.profile[bins].sum())
+        return float(self.profile_between(first, last).sum())
 
 
 class Sums:

@@ -12,6 +12,7 @@ from beamseg_batch.cylinder.evidence_kernels import COARSE
 from beamseg_batch.cylinder.ray_kernels import solve_4
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.structure.bend_kernels import best_bend
+from beamseg_batch.structure.fates import Fates, Refusal, flank_shares
 from beamseg_batch.structure.hypothesis import Beam, Sums, normal_matrix
 from beamseg_batch.structure.interval_kernels import best_intervals, densest_part
 from beamseg_batch.structure.snapping import snapped
@@ -24,9 +25,10 @@ LEAST_SHARE = 0.15  # of the score that all hits would give
 BEST_A_HIT = 4.3
 LEAST_LENGTH = 0.18
 TRIM_A_HIT = 0.1
-MOST_ATTACHED = np.array([0.45, 0.45, 0.3])  # left, right, and by scan on either side
-FEWEST_BESIDE = 20.0
+MOST_ATTACHED = (0.45, 0.45, 0.3)  # left, right, and by scan on either side
 THICKER = 1.15  # radii
+MOST_OFFSET = 0.012  # of two beams that are the same
+MOST_OFFSET_BEYOND = 0.006  # of one that goes on where another ends
 _CLASS_SIGMAS = 2.0
 _OWN_SCANS = 5  # scans' worth of trust in rays that are independent
 # Of Tukey's weight w at 4 sigmas, for normal residuals e: mean of d(w e)/de and of (w e)**2,
@@ -62,11 +64,14 @@ def refined(
     noise: float,
     rules: PassRules,
     radii: Sequence[float] = (),
+    fates: Fates | None = None,
 ) -> list[Beam]:
     """Make the next hypothesis of the evidence about the present one.
 
-    A beam takes the one of `radii` that its rays show, where they show it clearly.
+    A beam takes the one of `radii` that its rays show, where they show it clearly. What
+    becomes of those that are left out is told to `fates`.
     """
+    fates = fates or Fates()
     found: list[Beam] = []
     refused: list[Beam] = []
     for index, beam in enumerate(beams):
@@ -74,12 +79,19 @@ def refined(
             refit(part, index, low, high, sums, radii)
             for part, low, high in _renewed(beam, index, sums, noise, rules)
         ]
-        likely = [part for part in parts if not rules.drop or is_likely(part)]
+        refusals = [refusal_of(part) if rules.drop else None for part in parts]
+        likely = [part for part, no in zip(parts, refusals, strict=True) if no is None]
         found += likely
         refused += [] if likely else [beam]
+        for part, refusal in zip(parts, refusals, strict=True):
+            if refusal is not None:
+                fates.note(part, refusal)
+        if not parts:
+            fates.note(*_denied(beam, index, sums))
     found += _outdone(refused) if rules.drop else []
-    found = without_duplicates(found) if rules.merge else found
-    found = without_collisions(found) if rules.drop and rules.trimmed else found
+    found = without_duplicates(found, fates) if rules.merge else found
+    found = without_collisions(found, fates) if rules.drop and rules.trimmed else found
+    found = fates.settled(beams, found, _side_by_side)
     return snapped(found) if rules.snap else found
 
 
@@ -104,25 +116,56 @@ def _side_by_side(one: Beam, other: Beam) -> bool:
 
 def is_likely(beam: Beam) -> bool:
     """Whether the evidence for a beam is enough to keep it."""
-    return (
-        beam.score >= max(LEAST_SCORE, LEAST_SHARE * BEST_A_HIT * beam.hits)
-        and beam.length >= LEAST_LENGTH
-        and stands_free(beam)
-    )
+    return refusal_of(beam) is None
+
+
+def refusal_of(beam: Beam) -> Refusal | None:
+    """Why the evidence for a beam is not enough to keep it; None if it is."""
+    best = BEST_A_HIT * beam.hits
+    if beam.score < LEAST_SCORE:
+        return Refusal("low_score", beam.score, LEAST_SCORE)
+    if beam.score < LEAST_SHARE * best:
+        return Refusal("low_share", beam.score / best, LEAST_SHARE)
+    if beam.length < LEAST_LENGTH:
+        return Refusal("evidence_too_short", beam.length, LEAST_LENGTH)
+    return _attached(beam)
 
 
 def stands_free(beam: Beam) -> bool:
-    """Whether there is mostly nothing beside a beam, on either side.
+    """Whether there is mostly nothing beside a beam, on either side."""
+    return _attached(beam) is None
+
+
+def _attached(beam: Beam) -> Refusal | None:
+    """Refuse what does not stand free.
 
     Part of a wall fits a cylinder as well as the noise allows, but goes on beside it. So does
     the edge of a box, though from each place on one side alone, and a beam that is thicker
     than it is taken for.
     """
-    occupied, free = beam.flanks[:, 0], beam.flanks[:, 1]
-    known = occupied + free >= FEWEST_BESIDE
+    shares = flank_shares(beam.flanks)
     if beam.free_radius > THICKER * beam.radius:
-        known[2] = False
-    return bool(np.all(~known | (occupied <= MOST_ATTACHED * (occupied + free))))
+        shares[2] = np.nan
+    for share, most in zip(shares, MOST_ATTACHED, strict=True):
+        if share > most:
+            return Refusal("not_free", float(share), most)
+    return None
+
+
+def _denied(beam: Beam, index: int, sums: Sums) -> tuple[Beam, Refusal]:
+    """Say of a beam of which no stretch is likely how likely its best one is."""
+    likelihood, hits = sums.fine(index)
+    first, last = densest_part(likelihood - TRIM_A_HIT * hits)
+    score = float(likelihood[first:last].sum())
+    asked = replace(
+        beam,
+        score=score,
+        hits=float(hits.sum()),
+        scans=int(sums.evidence.scans[index]),
+        profile=likelihood,
+        profile_start=float(sums.starts[index]),
+    )
+    return asked, Refusal("no_evidence", score, INTERVAL_COST)
 
 
 def _renewed(
@@ -250,13 +293,15 @@ def bend(
     return float(sums.starts[index] + (span.start + place) * COARSE)
 
 
-def without_duplicates(beams: Sequence[Beam]) -> list[Beam]:
+def without_duplicates(beams: Sequence[Beam], fates: Fates | None = None) -> list[Beam]:
     """Drop beams that are the same as a likelier one, which takes in their length."""
+    fates = fates or Fates()
     kept: list[Beam] = []
     for beam in sorted(beams, key=lambda one: -one.score):
         for index, other in enumerate(kept):
             union = _union(other, beam)
             if union is not None:
+                fates.note(beam, _merging(beam, other))
                 kept[index] = union
                 break
         else:
@@ -264,41 +309,57 @@ def without_duplicates(beams: Sequence[Beam]) -> list[Beam]:
     return kept
 
 
-def without_collisions(beams: Sequence[Beam]) -> list[Beam]:
+def without_collisions(beams: Sequence[Beam], fates: Fates | None = None) -> list[Beam]:
     """Drop beams that run inside a likelier one: two solids cannot share their place.
 
     Several beams side by side may each explain a part of a plate, and one another's
     surroundings, so that each seems to stand free.
     """
+    fates = fates or Fates()
     kept: list[Beam] = []
     for beam in sorted(beams, key=lambda one: -one.score):
-        if not any(_collide(beam, other) for other in kept):
+        hits = (hit for other in kept if (hit := _collision(beam, other)) is not None)
+        refusal = next(hits, None)
+        if refusal is None:
             kept.append(beam)
+        else:
+            fates.note(beam, refusal)
     return kept
 
 
-def _collide(beam: Beam, other: Beam) -> bool:
+def _collision(beam: Beam, other: Beam) -> Refusal | None:
+    """How a beam runs inside another one; None if it does not."""
     if abs(float(beam.direction @ other.direction)) < np.cos(np.radians(20.0)):
-        return False
+        return None
     shorter, longer = sorted((beam, other), key=lambda one: one.length)
     _, overlap, low, high = _apart(longer, shorter)
     middle = 0.5 * (max(low, longer.first) + min(high, longer.last))
     point = longer.at(middle)
     offset = point - shorter.anchor
     offset -= (offset @ shorter.direction) * shorter.direction
-    together = beam.radius + other.radius
-    return overlap > 0.5 * shorter.length and float(np.linalg.norm(offset)) < together
+    apart, together = float(np.linalg.norm(offset)), beam.radius + other.radius
+    if overlap > 0.5 * shorter.length and apart < together:
+        return Refusal("collision", apart, together, other.number)
+    return None
 
 
 def _union(one: Beam, other: Beam) -> Beam | None:
     if abs(float(one.direction @ other.direction)) < np.cos(np.radians(1.5)):
         return None
     offset, overlap, low, high = _apart(one, other)
-    same = offset < 0.012 and overlap > 0.5 * min(other.length, one.length)
-    touching = offset < 0.006 and overlap > -0.05
+    same = offset < MOST_OFFSET and overlap > 0.5 * min(other.length, one.length)
+    touching = offset < MOST_OFFSET_BEYOND and overlap > -0.05
     if not (same or touching):
         return None
     return one.between(min(low, one.first), max(high, one.last))
+
+
+def _merging(beam: Beam, into: Beam) -> Refusal:
+    """Whether a beam is the same as another one, or goes on where that ends."""
+    offset, overlap = _apart(into, beam)[:2]
+    if overlap > 0.5 * min(into.length, beam.length):
+        return Refusal("duplicate", offset, MOST_OFFSET, into.number)
+    return Refusal("merged", offset, MOST_OFFSET_BEYOND, into.number)
 
 
 def _apart(one: Beam, other: Beam) -> tuple[float, float, float, float]:

@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from beamseg_batch.config import RunConfig
-from beamseg_batch.model import Detections, Intersection, Segment
+from beamseg_batch.model import Candidate, Detections, Intersection, Segment
 from beamseg_batch.structure.arrays import SegmentArrays
 from beamseg_batch.structure.axis_kernels import end_to_axis
+from beamseg_batch.structure.fates import Refusal, segments_as_candidates
 from beamseg_batch.structure.fusion import fuse
 from beamseg_batch.structure.intersections import intersections_of
 from beamseg_batch.structure.similarity import projection_epsilon, similarity_by
@@ -66,14 +67,19 @@ class Structure:
     def rejections(self) -> Counter[str]:
         """Segments that are left out of the result, by reason."""
         refusals = map(self._refusal, self._segments)
-        return Counter(reason for reason in refusals if reason is not None)
+        return Counter(refusal.reason for refusal in refusals if refusal is not None)
 
-    def _refusal(self, segment: Segment) -> str | None:
+    def candidates(self) -> tuple[Candidate, ...]:
+        """All segments, and why some are left out of the result."""
+        return segments_as_candidates(self._segments, list(map(self._refusal, self._segments)))
+
+    def _refusal(self, segment: Segment) -> Refusal | None:
         """Why a segment is left out of the result, or None."""
-        if segment.n_scans < self.config.structure.min_scans:
-            return "too_few_scans"
-        if segment.length < self.config.structure.min_length:
-            return "too_short"
+        least, shortest = self.config.structure.min_scans, self.config.structure.min_length
+        if segment.n_scans < least:
+            return Refusal("too_few_scans", segment.n_scans, least)
+        if segment.length < shortest:
+            return Refusal("too_short", segment.length, shortest)
         return None
 
     def _take_in(self, new: Segment) -> int:
