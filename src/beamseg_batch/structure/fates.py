@@ -19,6 +19,7 @@ from beamseg_batch.model import Candidate, RefusedLine, Segment
 from beamseg_batch.reasons import LEFTOVER
 from beamseg_batch.structure.candidates import Candidates
 from beamseg_batch.structure.hypothesis import Beam
+from beamseg_batch.structure.neighbours import Neighbours
 
 __all__ = [
     "FEWEST_BESIDE",
@@ -136,17 +137,18 @@ class Fates:
             Those after the pass, in the same order; of the parts of one beam all but the
             first are new candidates.
         """
-        alive = {beam.number for beam in after}
+        alive, left = {beam.number for beam in after}, Neighbours(after)
         for beam in before:
             if beam.number >= 0 and beam.number not in alive:
-                self._decide(beam, after, side_by_side)
+                self._decide(beam, left, side_by_side)
         self._noted.clear()
         return self._with_own_numbers(after)
 
-    def _decide(self, beam: Beam, after: Sequence[Beam], side_by_side: _Beside) -> None:
+    def _decide(self, beam: Beam, left: Neighbours, side_by_side: _Beside) -> None:
         last, refusal = self._noted.get(beam.number, (beam, Refusal("superseded")))
         if self._competing and refusal.reason in _OF_EVIDENCE:
-            rivals = [one for one in after if one.score > last.score and side_by_side(beam, one)]
+            near = (left.beams[index] for index in left.near(beam))
+            rivals = [one for one in near if one.score > last.score and side_by_side(beam, one)]
             rival = max(rivals, key=lambda one: one.score, default=None)
             if rival is not None:
                 refusal = Refusal("outdone", last.score, rival.score, rival.number)

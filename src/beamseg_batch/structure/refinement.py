@@ -15,6 +15,7 @@ from beamseg_batch.structure.bend_kernels import best_bend
 from beamseg_batch.structure.fates import Fates, Refusal, flank_shares
 from beamseg_batch.structure.hypothesis import Beam, Sums, normal_matrix
 from beamseg_batch.structure.interval_kernels import best_intervals, densest_part
+from beamseg_batch.structure.neighbours import Neighbours
 from beamseg_batch.structure.snapping import snapped
 
 __all__ = ["PassRules", "refined"]
@@ -101,9 +102,10 @@ def _outdone(refused: Sequence[Beam]) -> list[Beam]:
     Two beams for one, side by side, leave one another no evidence.
     """
     waiting: list[Beam] = []
-    ordered = sorted(refused, key=lambda beam: -beam.score)
-    for rank, beam in enumerate(ordered):
-        outdone = any(_side_by_side(beam, weaker) for weaker in ordered[rank + 1 :])
+    ordered = Neighbours(sorted(refused, key=lambda beam: -beam.score))
+    for rank, beam in enumerate(ordered.beams):
+        weaker = (ordered.beams[k] for k in ordered.near(beam) if k > rank)
+        outdone = any(_side_by_side(beam, one) for one in weaker)
         if outdone and is_likely(beam) and not any(_side_by_side(beam, one) for one in waiting):
             waiting.append(beam)
     return waiting
@@ -296,17 +298,18 @@ def bend(
 def without_duplicates(beams: Sequence[Beam], fates: Fates | None = None) -> list[Beam]:
     """Drop beams that are the same as a likelier one, which takes in their length."""
     fates = fates or Fates()
-    kept: list[Beam] = []
+    kept = Neighbours()
     for beam in sorted(beams, key=lambda one: -one.score):
-        for index, other in enumerate(kept):
+        for index in kept.near(beam):
+            other = kept.beams[index]
             union = _union(other, beam)
             if union is not None:
                 fates.note(beam, _merging(beam, other))
-                kept[index] = union
+                kept.replace(index, union)
                 break
         else:
             kept.append(beam)
-    return kept
+    return kept.beams
 
 
 def without_collisions(beams: Sequence[Beam], fates: Fates | None = None) -> list[Beam]:
@@ -316,15 +319,15 @@ def without_collisions(beams: Sequence[Beam], fates: Fates | None = None) -> lis
     surroundings, so that each seems to stand free.
     """
     fates = fates or Fates()
-    kept: list[Beam] = []
+    kept = Neighbours()
     for beam in sorted(beams, key=lambda one: -one.score):
-        hits = (hit for other in kept if (hit := _collision(beam, other)) is not None)
-        refusal = next(hits, None)
+        hits = (_collision(beam, kept.beams[index]) for index in kept.near(beam))
+        refusal = next((hit for hit in hits if hit is not None), None)
         if refusal is None:
             kept.append(beam)
         else:
             fates.note(beam, refusal)
-    return kept
+    return kept.beams
 
 
 def _collision(beam: Beam, other: Beam) -> Refusal | None:

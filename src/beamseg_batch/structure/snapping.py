@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from beamseg_batch.structure.hypothesis import Beam
+from beamseg_batch.structure.neighbours import Neighbours
 
 __all__ = ["snapped"]
 
@@ -39,7 +40,8 @@ def snapped(beams: Sequence[Beam]) -> list[Beam]:
         return list(beams)
     per_metre = float(np.median([beam.score / beam.length for beam in beams]))
     most_loss = _FREE_LOSS + _LOSS_LENGTH_M * max(per_metre, 0.0)
-    return [_snapped(index, beams, most_loss) for index in range(len(beams))]
+    neighbours = Neighbours(beams, reach=2.0 * _MOST_MOVE_M)
+    return [_snapped(index, neighbours, most_loss) for index in range(len(beams))]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +53,9 @@ class _Crossing:
     sigma: float
 
 
-def _snapped(index: int, beams: Sequence[Beam], most_loss: float) -> Beam:
-    beam = beams[index]
-    others = [other for k, other in enumerate(beams) if k != index]
+def _snapped(index: int, beams: Neighbours, most_loss: float) -> Beam:
+    beam = beams.beams[index]
+    others = [beams.beams[k] for k in beams.near(beam) if k != index]
     crossings = [found for other in others if (found := _crossing(beam, other)) is not None]
     ends, sigmas = [beam.first, beam.last], np.full(2, np.nan)
     for which, end, far in ((0, beam.first, beam.last), (1, beam.last, beam.first)):
