@@ -103,6 +103,8 @@ class Scan:
         Pixels; ``height`` is 1 for a cloud that is not organised.
     read_us : float
         Microseconds spent on reading and decoding this scan.
+    log_ns : int or None
+        When the cloud was recorded, by the recorder's clock; None where that is not known.
     """
 
     index: int
@@ -114,6 +116,7 @@ class Scan:
     width: int
     height: int
     read_us: float = 0.0
+    log_ns: int | None = None
 
     def with_points(self, points: NDArray[np.floating]) -> Scan:
         """Return the same scan with other returns."""
@@ -511,6 +514,8 @@ class RecordingInfo:
         Every damaged place, with its file and what was lost.
     damage_notes : tuple of str
         The same summed up, one sentence per damaged file.
+    T_cloud_sensor : RigidTransform
+        From the axes of the scans, x forward, to those of the clouds as they were recorded.
     """
 
     paths: tuple[Path, ...]
@@ -529,6 +534,7 @@ class RecordingInfo:
     notes: tuple[str, ...] = ()
     damage: tuple[str, ...] = ()
     damage_notes: tuple[str, ...] = ()
+    T_cloud_sensor: RigidTransform = field(default_factory=RigidTransform.identity)
 
     @property
     def recovered(self) -> bool:

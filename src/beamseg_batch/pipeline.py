@@ -47,7 +47,7 @@ _SCANS_A_BATCH = 25
 _SCANS_SENT = 5
 """Scans that are sent to a worker at a time in the first pass."""
 
-__all__ = ["Progress", "process_flight", "warm_up"]
+__all__ = ["Progress", "process_flight", "search_scans", "warm_up"]
 
 
 class Progress(Protocol):
@@ -134,6 +134,36 @@ def process_flight(
             log.stop(str(error))
     log.check_used(flight)
     return log.result(flight, structure)
+
+
+def search_scans(recording: Recording, config: RunConfig, *, jobs: int = 1) -> Iterator[Detections]:
+    """Search every scan of a flight, each by itself, as the first pass over it does.
+
+    Parameters
+    ----------
+    recording : Recording
+    config : RunConfig
+    jobs : int, optional
+        As in `process_flight`.
+
+    Yields
+    ------
+    Detections
+        Of each usable scan, in order, up to where the recording ends or is damaged; the
+        points of the scans are not kept.
+
+    Raises
+    ------
+    RecordingError, ConfigError, WorkerError
+        As `process_flight` does.
+    """
+    with Workers(jobs) as workers:
+        flight = open_flight(recording, config)
+        detect = Detector(config, _noise(flight, config))
+        workers.start(warm_up, config)
+        for scan, found in workers.map(_ScanSearch(detect), _usable(flight), _SCANS_SENT):
+            if found is not None:
+                yield replace(found, scan=scan.with_points(scan.points[:0]))
 
 
 def _detect(

@@ -278,7 +278,15 @@ def test_version__is_printed():
 
 
 @pytest.mark.parametrize(
-    "arguments", [["--help"], ["run", "--help"], ["info", "-h"], ["config", "show", "--help"]]
+    "arguments",
+    [
+        ["--help"],
+        ["run", "--help"],
+        ["info", "-h"],
+        ["config", "show", "--help"],
+        ["export", "--help"],
+        ["view", "--help"],
+    ],
 )
 def test_help__imports_no_heavy_library(arguments):
     program = (

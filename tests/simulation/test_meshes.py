@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from beamseg_batch.errors import WorldError
+from beamseg_batch.extras import Open3DMissingError
 from beamseg_batch.geometry import matrix_from_rpy
 from beamseg_batch.simulation.casting import Caster
-from beamseg_batch.simulation.meshes import Open3DMissingError
 from beamseg_batch.world.scene import Box, Mesh, Scene
 from tests.simulation.conftest import VIEWS, make_member
 

@@ -26,6 +26,8 @@ COMMANDS: Mapping[str, str] = {
     "evaluate": "Measure a run against the truth.",
     "explain": "Say why there is, or is not, a beam at a place.",
     "compare": "Hold two runs against each other.",
+    "export": "Write a run as CAD, BIM, meshes, points, a map or a table.",
+    "view": "Look at a run in 3-D.",
 }
 """Commands, in the order of `--help`, with the line it shows for each."""
 

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from beamseg_batch.config import RunConfig
     from beamseg_batch.model import FlightResult
     from beamseg_batch.outputs import WrittenRun
+    from beamseg_batch.recording import Recording
 
 __all__ = ["command"]
 
@@ -59,6 +60,12 @@ __all__ = ["command"]
     is_flag=True,
     help="Write candidates.parquet too, for 'beamseg explain'.",
 )
+@click.option(
+    "--record",
+    metavar="FILE",
+    type=click.Path(readable=False, path_type=Path),
+    help="Also write a replay for RViz and Foxglove: FILE.mcap (ROS 2) or FILE.bag (ROS 1).",
+)
 @config_options
 @click.option("--json", "as_json", is_flag=True, help="Print summary.json on stdout.")
 @verbosity_options
@@ -68,6 +75,7 @@ def command(
     overwrite: bool,
     jobs: int,
     keep: bool,
+    record: Path | None,
     options: ConfigOptions,
     as_json: bool,
     verbose: bool,
@@ -86,7 +94,10 @@ def command(
       beamseg run flight.bag -o out --profile report
       beamseg run flight.mcap --jobs 4
       beamseg run flight.mcap --extrinsic 0.071,0.011,0.04 --set filtering.radii=[0.1]
+      beamseg run flight.mcap --record views.mcap
 
+    A replay holds the beams as markers, the filtered clouds and the transforms, with the
+    flight's own stamps, to be opened beside the recording (docs/export.md).
     Ctrl-C finishes the scan in hand and leaves what is known in FOLDER.partial.
     """  # noqa: D301 (click reads the backspace)
     from beamseg_batch.parallel import load_ahead, one_thread_each
@@ -106,6 +117,14 @@ def command(
     opened = open_recording(list(recording), config.recording)
     folder = _output_folder(recording, output, config)
     check_output(folder, config, overwrite=overwrite)
+    if record is not None:
+        from beamseg_batch.replay import check_views
+
+        if any(_are_same(path, place) for path in recording for place in (record, record.parent)):
+            raise OutputError(
+                f"{record} would replace or change the recording; choose another name"
+            )
+        check_views(record, overwrite=overwrite)
     if level >= 1:
         note(f"reading {', '.join(map(str, recording))} ({opened.container})")
 
@@ -119,6 +138,10 @@ def command(
         asked = stop_asked()
     _tell(result, level)
     written = _write(result, folder, overwrite)
+    if record is not None and not asked:
+        _record(opened, result, record, jobs=jobs, overwrite=overwrite)
+        if level >= 1:
+            note(f"replay of {len(result.scans)} scans in {record}")
     if as_json:
         say(json.dumps(written.summary, indent=2))
     elif level >= 1:
@@ -158,6 +181,17 @@ def _write(result: FlightResult, folder: Path, overwrite: bool) -> WrittenRun:
     if result.interrupted:
         return write_run(result, partial_path(folder), overwrite=True)
     return write_run(result, folder, overwrite=overwrite)
+
+
+def _record(
+    recording: Recording, result: FlightResult, path: Path, *, jobs: int, overwrite: bool
+) -> None:
+    """Write the replay in a further pass over the scans: what stands where is known now."""
+    from beamseg_batch.pipeline import search_scans
+    from beamseg_batch.replay import record_views
+
+    detections = search_scans(recording, result.config, jobs=jobs)
+    record_views(result, detections, path, overwrite=overwrite)
 
 
 def _tell(result: FlightResult, level: int) -> None:

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from beamseg_batch.errors import MissingExtraError, RunError
+from beamseg_batch.errors import RunError
+from beamseg_batch.extras import load_extra
 from beamseg_batch.tables import CANDIDATES, Column, ColumnArrays, Kind
 
 __all__ = ["CANDIDATES_FILE", "candidates_parquet", "check_parquet", "read_candidates"]
@@ -123,12 +124,5 @@ def _read(column: Column, table: Any) -> np.ndarray[Any, np.dtype[Any]]:
 
 def _pyarrow() -> tuple[Any, Any]:
     """Return the two modules, which take a moment to load."""
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError as error:
-        raise MissingExtraError(
-            f"{CANDIDATES_FILE} needs pyarrow, which cannot be loaded ({error}); "
-            "pip install 'beamseg-batch[parquet]'"
-        ) from error
-    return pa, pq
+    pyarrow = load_extra("pyarrow", CANDIDATES_FILE, "parquet")
+    return pyarrow, load_extra("pyarrow.parquet", CANDIDATES_FILE, "parquet")

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from beamseg_batch.config import RunConfig
 from beamseg_batch.errors import NoScansError, RecordingError
+from beamseg_batch.geometry import RigidTransform
 from beamseg_batch.model import RecordingInfo, Scan, SkippedScan, Trajectory
 from beamseg_batch.recording.axes import (
     T_OPTICAL_SENSOR,
@@ -142,6 +143,7 @@ class Flight:
             notes=self.notes,
             damage=recording.damage_places,
             damage_notes=recording.damage_notes,
+            T_cloud_sensor=T_OPTICAL_SENSOR if self.axis.is_z else RigidTransform.identity(),
         )
 
     def thinned(self, every: int) -> Flight:
@@ -216,6 +218,7 @@ class Flight:
             width=cloud.width,
             height=cloud.height,
             read_us=(perf_counter() - start) * 1e6,
+            log_ns=raw.log_time_ns,
         )
 
     def _gap_detail(self, gap_ns: int) -> str:

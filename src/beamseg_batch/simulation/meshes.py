@@ -7,15 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from beamseg_batch.errors import BeamsegError, WorldError
+from beamseg_batch.errors import WorldError
+from beamseg_batch.extras import load_open3d
 from beamseg_batch.geometry import FloatArray, RigidTransform
 from beamseg_batch.world.scene import Mesh
 
-__all__ = ["MeshCaster", "Open3DMissingError"]
-
-
-class Open3DMissingError(BeamsegError, ImportError):
-    """Open3D, or a system library that it needs, cannot be loaded."""
+__all__ = ["MeshCaster"]
 
 
 class MeshCaster:
@@ -34,7 +31,7 @@ class MeshCaster:
     """
 
     def __init__(self, meshes: Iterable[Mesh]) -> None:
-        self._open3d = _load_open3d()
+        self._open3d = load_open3d("a world with meshes")
         self._scene = self._open3d.t.geometry.RaycastingScene()
         for mesh in meshes:
             vertices, triangles = _read(self._open3d, mesh)
@@ -71,19 +68,6 @@ class MeshCaster:
         towards /= np.linalg.norm(towards, axis=1, keepdims=True)
         depths[hit] = t_hit[hit]
         facings[hit] = np.abs(np.einsum("ni,ni->n", normals, towards))
-
-
-def _load_open3d() -> Any:
-    try:
-        import open3d
-    except (ImportError, OSError) as error:  # OSError: a system library is missing
-        reason = " ".join(str(error).split())
-        raise Open3DMissingError(
-            f"a world with meshes needs Open3D, which cannot be loaded ({reason}); on Debian and "
-            "Ubuntu: apt-get install libegl1 libgl1 libgomp1 libusb-1.0-0 libx11-6; "
-            "elsewhere: pip install open3d"
-        ) from error
-    return open3d
 
 
 def _read(open3d: Any, mesh: Mesh) -> tuple[FloatArray, Any]:
