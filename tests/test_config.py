@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from beamseg_batch.config import (
     config_yaml,
     load_config,
     profile_names,
+    sensor_names,
 )
 from beamseg_batch.errors import ConfigError
 
@@ -367,3 +369,80 @@ def test_load_config__raise_out_of_range(override):
 def test_load_config__message_says_value_and_limit():
     with pytest.raises(ConfigError, match=r"detection\.hough\.granularity is 9: .*6"):
         load_config(overrides=["detection.hough.granularity=9"])
+
+
+# --- the sensor's model ---------------------------------------------------------------
+
+
+def test_load_config__takes_what_is_open_from_the_sensor_model():
+    sensor = load_config(overrides=["sensor.model=voxl_tof"]).sensor
+    assert (sensor.noise_m, sensor.noise_relative, sensor.mixed_pixels) == (0.003, 0.007, True)
+    assert (sensor.pose_jitter_m, sensor.pose_jitter_deg) == (0.003, 0.15)
+    assert sensor.extrinsic is None  # its file says that the recording holds it
+
+
+def test_load_config__what_is_set_comes_before_the_sensor_model():
+    overrides = ["sensor.model=voxl_tof", "sensor.noise_m=0.02", "sensor.mixed_pixels=false"]
+    sensor = load_config(overrides=overrides).sensor
+    assert (sensor.noise_m, sensor.mixed_pixels, sensor.noise_relative) == (0.02, False, 0.007)
+
+
+def test_load_config__sensor_model_of_ones_own(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text(
+        "camera: {noise: 0.0, footprint: 1}\nextrinsic: {translation: [0.1, 0.0, 0.2]}\n"
+    )
+    sensor = load_config(overrides=[f"sensor.model={path}"]).sensor
+    assert sensor.noise_m is None  # to be measured
+    assert sensor.mixed_pixels is False
+    assert sensor.extrinsic is not None
+    assert sensor.extrinsic.translation == (0.1, 0.0, 0.2)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("camera: {noise: loud}", "mine.yaml: camera.noise is 'loud': "),
+        ("poses: {jitter_position: -1}", "mine.yaml: poses.jitter_position is -1: "),
+        ("camera: {footprint: wide}", "mine.yaml: camera.footprint is 'wide': "),
+        ("extrinsic: {translation: [1]}", "mine.yaml: extrinsic"),
+        ("camera: 5", "mine.yaml: tells nothing of a sensor; keys are camera.noise, "),
+        ("", "mine.yaml: tells nothing of a sensor"),
+        ("[1, 2]", "mine.yaml: must be a mapping"),
+        ("a: [", "mine.yaml: is not valid YAML"),
+    ],
+)
+def test_load_config__refuses_a_bad_sensor_model(tmp_path, content, message):
+    path = tmp_path / "mine.yaml"
+    path.write_text(content)
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        load_config(overrides=[f"sensor.model={path}"])
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("voxl_toff", "unknown sensor 'voxl_toff'; did you mean 'voxl_tof'?; there are: voxl_tof"),
+        ("missing.yaml", "missing.yaml: cannot be read: No such file"),
+        ("5", "sensor.model is 5: "),
+    ],
+)
+def test_load_config__refuses_an_unknown_sensor_model(name, message):
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        load_config(overrides=[f"sensor.model={name}"])
+
+
+def test_load_config__every_shipped_sensor_can_be_a_model():
+    for name in sensor_names():
+        assert load_config(overrides=[f"sensor.model={name}"]).sensor.noise_m is not None
+
+
+@pytest.mark.parametrize("setting", ["matching.smooth=on", "sensor.pose_jitter_m=-0.1"])
+def test_load_config__refuses_bad_jitter(setting):
+    with pytest.raises(ConfigError, match=re.escape(setting.partition("=")[0])):
+        load_config(overrides=[setting])
+
+
+def test_load_config__report_uses_poses_as_they_are():
+    assert load_config("report").matching.smooth == "off"
+    assert load_config("precise").matching.smooth == "auto"

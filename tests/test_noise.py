@@ -95,6 +95,18 @@ def test_depth_noise__takes_what_is_configured():
     assert depth_noise(iter(()), both) == DepthNoise(0.02, 0.01)
 
 
+def test_depth_noise__tells_where_it_is_from():
+    """Mixed pixels are measured beside noise that is configured, too."""
+    scans = [steps(True, seed=k) for k in range(8)]
+    given = depth_noise(scans, SensorConfig(noise_m=0.005))
+    assert (given.source, given.mixed, given.mixed_source) == ("configured", True, "measured")
+    flat = flight(7, DepthNoise(0.006))
+    found = depth_noise(flat, SensorConfig(mixed_pixels=True))
+    assert (found.source, found.mixed, found.mixed_source) == ("measured", True, "configured")
+    unknown = depth_noise([], SensorConfig())
+    assert (unknown.source, unknown.mixed, unknown.mixed_source) == ("default", False, "default")
+
+
 def test_depth_noise__is_measured_otherwise():
     scans = flight(7, DepthNoise(0.006))
     assert depth_noise(scans, SensorConfig()).at(1.0) == pytest.approx(0.006, rel=0.1)

@@ -16,7 +16,7 @@ from beamseg_batch import pipeline
 from beamseg_batch.config import load_config
 from beamseg_batch.errors import ConfigError, NoScansError, RecordingError, ShapeError
 from beamseg_batch.geometry import RigidTransform, angle_between_deg, distances_to_line
-from beamseg_batch.model import STAGES, RecordingInfo, Scan, SkippedScan, Trajectory
+from beamseg_batch.model import STAGES, PoseJitter, RecordingInfo, Scan, SkippedScan, Trajectory
 from beamseg_batch.pipeline import process_flight
 from beamseg_batch.recording import open_recording
 from tests.rays import pose_at, scan_points
@@ -48,6 +48,7 @@ class FakeFlight:
 
     items: list
     info: RecordingInfo = INFO
+    jitter = PoseJitter()
     recording = SimpleNamespace(name="flight.mcap")
 
     @property

@@ -53,6 +53,7 @@ __all__ = [
     "config_yaml",
     "load_config",
     "profile_names",
+    "sensor_names",
 ]
 
 DEFAULT_PROFILE = "precise"
@@ -98,6 +99,9 @@ class MatchingConfig(Node):
     """nearest: the pose message nearest in time as it is; interpolate: between its neighbours."""
     max_gap_s: NonNegative = 0.05
     """Largest time from a cloud to its nearest pose message, seconds."""
+    smooth: Literal["auto", "off"] = "auto"
+    """auto: poses that jitter by more than 0.3 mm or 0.02 degrees are smoothed, as far as their
+    own motion allows; off: they are used as recorded."""
 
 
 class ExtrinsicConfig(Node):
@@ -112,6 +116,10 @@ class ExtrinsicConfig(Node):
 class SensorConfig(Node):
     """The camera."""
 
+    model: str | None = None
+    """What the camera and its poses are known to be: a name out of configs/sensors, such as
+    voxl_tof, or a file like those. What is null here is taken from it: noise, mixed pixels, jitter,
+    and the extrinsic if its extrinsic_in does not say that the recording holds it."""
     extrinsic: ExtrinsicConfig | None = None
     """Camera pose on the drone; null takes it from tf when allowed, else identity."""
     extrinsic_from_tf: bool = True
@@ -123,6 +131,11 @@ class SensorConfig(Node):
     mixed_pixels: bool | None = None
     """Whether a pixel at an edge returns a depth between those of both sides, so that the outlines
     of beams do not count for their axes; null measures it."""
+    pose_jitter_m: NonNegative | None = None
+    """Standard deviation of the noise of each pose's position along each axis, metres; null
+    measures it in the flight."""
+    pose_jitter_deg: NonNegative | None = None
+    """The same of its attitude about each axis, degrees."""
     axes: Literal["auto", "x_forward", "z_forward"] = "auto"
     """Which axis of the clouds looks ahead: x as on bodies, z as in optical frames, whose points
     are turned to x forward; auto: as the data, the frame's name or the transform tree says."""
@@ -338,6 +351,17 @@ ALIASES: Mapping[str, str] = {
 """Keys of the original node's configuration file, and where they live here."""
 
 
+_OF_MODEL: Mapping[str, str] = {
+    "noise_m": "camera.noise",
+    "noise_relative": "camera.noise_relative",
+    "mixed_pixels": "camera.footprint",
+    "pose_jitter_m": "poses.jitter_position",
+    "pose_jitter_deg": "poses.jitter_attitude_deg",
+    "extrinsic": "extrinsic",
+}
+"""Keys of the `sensor` branch that a sensor's file tells, and their places there."""
+
+
 def config_folder() -> Path:
     """Folder of the shipped configuration files.
 
@@ -354,6 +378,11 @@ def config_folder() -> Path:
 def profile_names() -> tuple[str, ...]:
     """Names of the shipped profiles, sorted."""
     return tuple(sorted(path.stem for path in config_folder().glob("*.yaml")))
+
+
+def sensor_names() -> tuple[str, ...]:
+    """Names of the shipped sensors, sorted."""
+    return tuple(sorted(path.stem for path in (config_folder() / "sensors").glob("*.yaml")))
 
 
 def load_config(
@@ -394,6 +423,7 @@ def load_config(
     name = profile or named or ("report" if original else DEFAULT_PROFILE)
     tree = _merged(_read_profile(name), overlay)
     tree["profile"] = name
+    tree = _with_sensor_model(tree)
     return _validated(tree, where)
 
 
@@ -429,6 +459,52 @@ def _read_mapping(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
         raise ConfigError(f"{path}: must be a mapping of keys to values")
     return content
+
+
+def _with_sensor_model(tree: Mapping[str, Any]) -> dict[str, Any]:
+    """Fill in what the sensor's model tells and the configuration leaves open."""
+    sensor = tree.get("sensor")
+    if not isinstance(sensor, Mapping) or not isinstance(sensor.get("model"), str):
+        return dict(tree)
+    told = _told_by_model(sensor["model"])
+    return _merged(tree, {"sensor": {k: v for k, v in told.items() if sensor.get(k) is None}})
+
+
+def _told_by_model(name: str) -> dict[str, Any]:
+    """Values of the `sensor` branch that a file of a sensor tells."""
+    path = _sensor_path(name)
+    content = _read_mapping(path)
+    found: dict[str, Any] = {}
+    for key, where in _OF_MODEL.items():
+        branch: Any = content
+        for part in where.split("."):
+            branch = branch.get(part) if isinstance(branch, Mapping) else None
+        if branch is None or (key == "extrinsic" and content.get("extrinsic_in", "none") != "none"):
+            continue
+        # A footprint of one sub-ray is a point, and noise of zero is not known.
+        value = branch > 1 if key == "mixed_pixels" and isinstance(branch, int) else branch
+        found[key] = None if key == "noise_m" and value == 0 else value
+        try:
+            SensorConfig.model_validate({key: found[key]})
+        except ValidationError as error:
+            reason = message_of(problems(error)[0])
+            raise ConfigError(f"{path}: {where} is {shortened(branch)}: {reason}") from None
+    if not found:
+        raise ConfigError(
+            f"{path}: tells nothing of a sensor; keys are {', '.join(_OF_MODEL.values())}"
+        )
+    return found
+
+
+def _sensor_path(name: str) -> Path:
+    if name in sensor_names():
+        return config_folder() / "sensors" / f"{name}.yaml"
+    if Path(name).suffix:
+        return Path(name)
+    raise ConfigError(
+        f"sensor.model: unknown sensor {name!r}{nearest(name, sensor_names())}; there are: "
+        f"{', '.join(sensor_names())}; a sensor of your own is a YAML file"
+    )
 
 
 def _is_original(tree: Mapping[str, Any]) -> bool:

@@ -27,11 +27,13 @@ __all__ = [
     "Intersection",
     "Joint",
     "Member",
+    "PoseJitter",
     "RecordingInfo",
     "RefusedLine",
     "Scan",
     "ScanRecord",
     "Segment",
+    "SensorModel",
     "SkippedScan",
     "Trajectory",
 ]
@@ -71,15 +73,69 @@ class DepthNoise:
         Share of the depth, added as the square.
     mixed : bool
         Whether a pixel at an edge returns a depth between those of both sides.
+    source : str
+        ``measured``, ``configured`` or ``default``: where the deviation is from.
+    mixed_source : str
+        The same of `mixed`.
     """
 
     constant: float
     relative: float = 0.0
     mixed: bool = False
+    source: str = field(default="configured", compare=False)
+    mixed_source: str = field(default="default", compare=False)
 
     def at(self, depth: float) -> float:
         """Standard deviation at a forward depth, metres."""
         return float(np.hypot(self.constant, self.relative * depth))
+
+
+@dataclass(frozen=True)
+class PoseJitter:
+    """White noise of the recorded poses, and what is left of it in those that are used.
+
+    Attributes
+    ----------
+    position, attitude : float, metres and radians
+        Standard deviation along and about each axis, as recorded.
+    left_position, left_attitude : float, metres and radians
+        The same of the poses that scans are matched with.
+    memory_s : float, seconds
+        How long an error of these stays about the same; 0 where there is none to speak of.
+    position_source, attitude_source : str
+        ``measured``, ``configured`` or ``default``, which is none.
+    """
+
+    position: float = 0.0
+    attitude: float = 0.0
+    left_position: float = 0.0
+    left_attitude: float = 0.0
+    memory_s: float = 0.0
+    position_source: str = "default"
+    attitude_source: str = "default"
+
+    @property
+    def smoothed(self) -> bool:
+        """Whether the poses that are used jitter less than those recorded."""
+        return self.left_position < self.position or self.left_attitude < self.attitude
+
+
+@dataclass(frozen=True)
+class SensorModel:
+    """What a run took the camera and its poses for.
+
+    Attributes
+    ----------
+    noise : DepthNoise
+    jitter : PoseJitter
+    pitch_rad : float or None
+        Angle between neighbouring pixels ahead, which is the footprint of one; None where the
+        clouds are not an image, or nobody asked.
+    """
+
+    noise: DepthNoise
+    jitter: PoseJitter = PoseJitter()
+    pitch_rad: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -573,6 +629,8 @@ class FlightResult:
     config : RunConfig
     wall_s : float
         Seconds that processing took.
+    sensor : SensorModel
+        How well the camera and the poses measure.
     warnings : tuple of str
     interrupted : bool
         True when the flight was not read to its end.
@@ -592,6 +650,7 @@ class FlightResult:
     recording: RecordingInfo
     config: RunConfig
     wall_s: float
+    sensor: SensorModel = SensorModel(DepthNoise(0.01, source="default"))
     warnings: tuple[str, ...] = ()
     interrupted: bool = False
     candidates: tuple[Candidate, ...] | None = None

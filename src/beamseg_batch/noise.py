@@ -14,7 +14,7 @@ from beamseg_batch.model import DepthNoise, Scan
 
 __all__ = ["DEFAULT_NOISE", "depth_noise", "has_mixed_pixels", "measured_noise"]
 
-DEFAULT_NOISE = DepthNoise(0.01)
+DEFAULT_NOISE = DepthNoise(0.01, source="default")
 """Of a camera about which nothing is known."""
 
 _SMALLEST_M = 5e-4
@@ -39,16 +39,15 @@ def depth_noise(scans: Iterable[Scan], config: SensorConfig) -> DepthNoise:
     -------
     DepthNoise
     """
-    if config.noise_m is not None:
-        return DepthNoise(
-            config.noise_m, config.noise_relative or 0.0, mixed=bool(config.mixed_pixels)
-        )
     further = iter(scans)
-    noise = measured_noise(further)
-    mixed = config.mixed_pixels
-    if mixed is None:
-        mixed = has_mixed_pixels(further, noise)
-    return replace(noise, mixed=True) if mixed else noise
+    if config.noise_m is not None:
+        noise = DepthNoise(config.noise_m, config.noise_relative or 0.0)
+    else:
+        noise = measured_noise(further)
+    if config.mixed_pixels is not None:
+        return replace(noise, mixed=config.mixed_pixels, mixed_source="configured")
+    mixed = has_mixed_pixels(further, noise)
+    return noise if mixed is None else replace(noise, mixed=mixed, mixed_source="measured")
 
 
 def measured_noise(scans: Iterable[Scan]) -> DepthNoise:
@@ -90,7 +89,7 @@ def measured_noise(scans: Iterable[Scan]) -> DepthNoise:
     return _fitted(np.concatenate(depths), np.concatenate(residuals))
 
 
-def has_mixed_pixels(scans: Iterable[Scan], noise: DepthNoise) -> bool:
+def has_mixed_pixels(scans: Iterable[Scan], noise: DepthNoise) -> bool | None:
     """Whether large steps of the depth often have one pixel in between.
 
     Parameters
@@ -101,8 +100,8 @@ def has_mixed_pixels(scans: Iterable[Scan], noise: DepthNoise) -> bool:
 
     Returns
     -------
-    bool
-        False where there are too few steps to tell.
+    bool or None
+        None where there are too few steps to tell.
     """
     steps = between = 0
     for scan in islice(scans, _MOST_SCANS):
@@ -120,7 +119,7 @@ def has_mixed_pixels(scans: Iterable[Scan], noise: DepthNoise) -> bool:
         steps += int(step.sum())
         if steps >= _ENOUGH_STEPS:
             break
-    return steps >= _FEWEST_STEPS and between > _MIXED * steps
+    return between > _MIXED * steps if steps >= _FEWEST_STEPS else None
 
 
 def _fitted(depths: FloatArray, residuals: FloatArray) -> DepthNoise:
@@ -138,7 +137,8 @@ def _fitted(depths: FloatArray, residuals: FloatArray) -> DepthNoise:
     if constant < 0.0:
         constant = 0.0
         slope = np.average(variances / squares, weights=(weights * squares) ** 2)
-    return DepthNoise(max(float(np.sqrt(constant)), _SMALLEST_M), float(np.sqrt(slope)))
+    constant, slope = max(float(np.sqrt(constant)), _SMALLEST_M), float(np.sqrt(slope))
+    return DepthNoise(constant, slope, source="measured")
 
 
 def _deviation(values: FloatArray) -> float:

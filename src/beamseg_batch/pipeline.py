@@ -25,6 +25,7 @@ from beamseg_batch.model import (
     Scan,
     ScanRecord,
     Segment,
+    SensorModel,
     SkippedScan,
 )
 from beamseg_batch.parallel import Workers
@@ -46,6 +47,8 @@ from beamseg_batch.structure.fates import MOST_LINES
 _SCANS_A_BATCH = 25
 _SCANS_SENT = 5
 """Scans that are sent to a worker at a time in the first pass."""
+_END_GROUPS = 12
+"""Parts of the flight that each tell where the ends are, by how far they differ how surely."""
 
 __all__ = ["Progress", "process_flight", "search_scans", "warm_up"]
 
@@ -119,7 +122,8 @@ def process_flight(
         warm_up(config)
         noise = _noise(flight, config)
         detect = Detector(config, noise)
-        structure = _structure(config, noise)
+        sensor = SensorModel(noise, flight.jitter)
+        structure = _structure(config, sensor)
         log = _FlightLog(config, noise)
         passes = config.refinement.passes if isinstance(structure, EvidenceStructure) else 0
         progress.begin(flight.n_clouds * (1 + passes))
@@ -133,7 +137,7 @@ def process_flight(
                 raise
             log.stop(str(error))
     log.check_used(flight)
-    return log.result(flight, structure)
+    return log.result(flight, structure, sensor)
 
 
 def search_scans(recording: Recording, config: RunConfig, *, jobs: int = 1) -> Iterator[Detections]:
@@ -237,9 +241,10 @@ def _refine(
             return
     if passes and flight.config.refinement.ends:
         ends = structure.end_question()
-        likelihood = ends.sums()
-        for _, answered in workers.map(ends.ask, _batches(flight)):
-            likelihood += answered
+        likelihood = np.stack([ends.sums()] * _END_GROUPS)
+        answers = workers.map(ends.ask, _batches(flight))
+        for number, (_, answered) in enumerate(answers):
+            likelihood[number % _END_GROUPS] += answered
         structure.set_ends(likelihood)
 
 
@@ -296,9 +301,9 @@ def _noise(flight: Flight, config: RunConfig) -> DepthNoise:
     return depth_noise(_usable(flight), config.sensor)
 
 
-def _structure(config: RunConfig, noise: DepthNoise) -> Structure | EvidenceStructure:
+def _structure(config: RunConfig, sensor: SensorModel) -> Structure | EvidenceStructure:
     if config.structure.fusion == "evidence":
-        return EvidenceStructure(config, noise)
+        return EvidenceStructure(config, sensor.noise, sensor.jitter)
     return Structure(config)
 
 
@@ -329,7 +334,7 @@ def warm_up(like: RunConfig) -> None:
     config = RunConfig.model_validate(
         {"structure": {"fusion": like.structure.fusion}, "detection": {"axis": like.detection.axis}}
     )
-    detect, structure = Detector(config), _structure(config, DEFAULT_NOISE)
+    detect, structure = Detector(config), _structure(config, SensorModel(DEFAULT_NOISE))
     for _ in range(3):
         detections = detect(scan)
         structure.update(detections)
@@ -339,7 +344,7 @@ def warm_up(like: RunConfig) -> None:
             sums = question.sums()
             sums.add(question.ask([scan]))
             structure.renew(sums)
-        structure.set_ends(structure.end_question().ask([scan]))
+        structure.set_ends(structure.end_question().ask([scan])[None])
         structure.leftover_question().ask([scan])
     if like.filtering.foreground == "thin":
         thin_foreground(replace(scan, width=16, height=10), 0.05, 1.5, DEFAULT_NOISE)
@@ -428,10 +433,14 @@ class _FlightLog:
                 "(sensor axes, x forward); see filtering.window"
             )
 
-    def result(self, flight: Flight, structure: Structure | EvidenceStructure) -> FlightResult:
+    def result(
+        self, flight: Flight, structure: Structure | EvidenceStructure, sensor: SensorModel
+    ) -> FlightResult:
         segments = structure.segments()
         joints, intersections = joints_of(segments, structure.intersections())
         end_slack = self.config.structure.intersections.end_slack
+        if isinstance(structure, EvidenceStructure):
+            sensor = replace(sensor, pitch_rad=structure.pitch_rad)
         return FlightResult(
             segments=segments,
             intersections=intersections,
@@ -445,6 +454,7 @@ class _FlightLog:
             recording=flight.info,
             config=self.config,
             wall_s=time.perf_counter() - self.start,
+            sensor=sensor,
             warnings=(
                 *flight.info.damage_notes,
                 *self._skip_warnings(),

@@ -58,6 +58,7 @@ def test_run__sums_up_on_stdout_and_logs_on_stderr(ok, flight):
         "joints",
         "not",
         "scans",
+        "sensor",
         "time",
         "report",
     ]

@@ -176,7 +176,16 @@ class Gathered:
             self.alone[j] += 1
             normal = (entry * w - a - s * b) / radius
             if abs(normal @ w) >= 0.2:
+                residual -= self._sunk(w, a, b, radius, entry) / sigma
                 self._weigh(j, w, s, residual, sigma)
+
+    def _sunk(self, w, a, b, radius, entry):
+        """Half the entry's second derivative across, times the variance of a pixel's place."""
+        side = np.cross(w, b) / np.linalg.norm(np.cross(w, b))
+        lateral = line_distance(w, a, b)[0]
+        curvature = radius**2 / (radius**2 - lateral**2) ** 1.5 / np.linalg.norm(np.cross(w, b))
+        pixel = np.diag([0.0, 1.0, 1.0]) * (self.scene.footprint * entry * w[0]) ** 2 / 12
+        return 0.5 * curvature * side @ pixel @ side
 
     def _weigh(self, j, w, s, residual, sigma):
         scene = self.scene

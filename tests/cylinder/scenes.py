@@ -64,7 +64,7 @@ def scene_of(beams, rng, *, size=SIZE, noise=NOISE, wall=np.inf, depths=None):
     return SimpleNamespace(
         points=recorded(points), rays=rays, width=size, image=image_of(size, size), noise=noise,
         low=np.array([0.3, -1.5, -1.5]), high=np.array([2.0, 1.5, 1.5]),
-        up=np.array([0.0, 0.0, 1.0]), height=1.0, floor=-np.inf, blur=0.0,
+        up=np.array([0.0, 0.0, 1.0]), height=1.0, floor=-np.inf, blur=0.0, footprint=0.0,
         anchors=(starts + ends) / 2, directions=directions,
         us=frames[:, 0].copy(), vs=frames[:, 1].copy(), radii=radii,
         firsts=-lengths / 2, lasts=lengths / 2,
@@ -79,6 +79,7 @@ def view_of(scene, width):
     return View(
         scene.points, scene.rays, width, scene.image, *scene.noise,
         scene.low, scene.high, scene.up, scene.height, scene.floor, scene.blur,
+        scene.footprint,
     )  # fmt: skip
 
 

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from beamseg_batch.cylinder.evidence_kernels import FINE, _add_flanks, gather
+from beamseg_batch.structure.hypothesis import normal_matrix
 from tests.cylinder.naive import Gathered
 from tests.cylinder.scenes import empty_sums, gathered, recorded, scene_of, some_beams
+from tests.rays import camera_rays, seen_depths
 
 BEAM = ([1.0, 0.0, -0.3], [1.0, 0.0, 0.3], 0.05)
 BEFORE = ([0.7, 0.0, -0.3], [0.7, 0.0, 0.3], 0.05)
@@ -83,6 +85,35 @@ def test_gather__agrees_with_its_twin_where_outlines_are_blurred():
     scene.blur = 0.02
     assert_agrees(scene)
     assert 0 < gathered(scene).normal[:, 14].sum() < 0.9 * sharp
+
+
+def test_gather__agrees_with_its_twin_where_pixels_are_wide():
+    scene = random_scene(9)
+    scene.blur, scene.footprint = 0.02, 0.02
+    assert_agrees(scene)
+
+
+def test_gather__wide_pixels_measure_no_other_radius():
+    """A pixel's mean depth lies behind the surface in its middle, the more the more it curves."""
+    rng, size, many = np.random.default_rng(3), 160, 5
+    beam = np.array([1.1, 0.02, -0.4]), np.array([1.05, -0.03, 0.4]), 0.05
+    pitch = 2.0 / (size - 1)
+    middles = camera_rays(size, size)
+    inner = (np.arange(many) - (many - 1) / 2) / many * pitch
+    forward = np.zeros(len(middles))
+    for dy in inner:
+        for dz in inner:
+            rays = middles / middles[:, :1] + np.array([0.0, dy, dz])
+            lengths = np.linalg.norm(rays, axis=1)
+            forward += seen_depths(np.zeros(3), rays / lengths[:, None], *beam) / lengths
+    depths = forward / many**2 / middles[:, 0]
+    errors = []
+    for footprint in (0.0, pitch):
+        scene = scene_of([beam], rng, size=size, depths=depths)
+        scene.blur, scene.footprint = 0.75 * pitch, footprint
+        matrix, right = normal_matrix(gathered(scene).normal)
+        errors.append(abs(right[4] / matrix[4, 4]))
+    assert errors[1] < 0.2 * errors[0]
 
 
 # --- the image and the scratch --------------------------------------------------------
@@ -256,7 +287,7 @@ def test_gather__a_place_that_rounds_up_to_the_end_stays_in_the_last_bin():
     scene = SimpleNamespace(
         points=points, rays=points / 0.95, width=0, image=np.zeros(4), noise=(0.005, 0.0),
         low=np.array([0.0, -2.0, -2.0]), high=np.full(3, 2.0),
-        up=np.array([0.0, 0.0, 1.0]), height=1.0, floor=-np.inf, blur=0.0,
+        up=np.array([0.0, 0.0, 1.0]), height=1.0, floor=-np.inf, blur=0.0, footprint=0.0,
         anchors=row * [1.0, 0.0, -place], directions=row * [0.0, 0.0, 1.0],
         us=row * [1.0, 0.0, 0.0], vs=row * [0.0, 1.0, 0.0], radii=np.array([0.05]),
         firsts=np.array([-1.0]), lasts=np.array([0.0]), ranks=np.zeros(1, np.int64),

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from pathlib import Path
 
 import pytest
 
-from beamseg_batch.outputs.summary import results_sha256, summarise, summary_json
+from beamseg_batch.model import DepthNoise, PoseJitter, SensorModel
+from beamseg_batch.outputs.summary import results_sha256, sensor_text, summarise, summary_json
 
 
 def refuse(literal):
@@ -133,3 +135,33 @@ def test_results_sha256__counts_deterministic_tables_only():
     assert results_sha256(contents | {"processing_time.csv": b"4", "report.html": b""}) == expected
     assert results_sha256(contents | {"segments.csv": b"12"}) != expected
     assert results_sha256({"segments.csv": b"2", "intersections.csv": b"1"}) != expected
+
+
+def test_summarise__tells_the_sensor_with_where_each_value_is_from(make_flight):
+    noise = DepthNoise(0.003, 0.007, mixed=True, source="measured", mixed_source="configured")
+    jitter = PoseJitter(
+        0.003, math.radians(0.15), 0.0007, math.radians(0.05), 0.7, *["measured"] * 2
+    )
+    sensor = SensorModel(noise, jitter, pitch_rad=0.0107)
+    told = summarise(make_flight(sensor=sensor), (), "")["sensor"]
+    assert told["noise_m"] == {"value": 0.003, "source": "measured"}
+    assert told["noise_relative"] == {"value": 0.007, "source": "measured"}
+    assert told["mixed_pixels"] == {"value": True, "source": "configured"}
+    assert told["pixel_pitch_rad"] == {"value": 0.0107, "source": "measured"}
+    assert told["pose_jitter_m"] == {"value": 0.003, "source": "measured"}
+    assert told["pose_jitter_deg"]["value"] == pytest.approx(0.15)
+    assert told["poses_smoothed"] is True
+    assert told["pose_jitter_left_m"] == 0.0007
+    assert told["pose_jitter_left_deg"] == pytest.approx(0.05)
+    assert sensor_text(sensor) == (
+        "noise 3 mm + 0.7 % of the depth (measured), 10.7 mrad a pixel, mixed at edges; poses "
+        "jitter by 3.00 mm, 0.150° (measured), smoothed to 0.70 mm, 0.050°"
+    )
+
+
+def test_summarise__of_an_unknown_sensor(flight):
+    told = summarise(flight, (), "")["sensor"]
+    assert told["noise_m"] == {"value": 0.01, "source": "default"}
+    assert told["pixel_pitch_rad"] == {"value": None, "source": "default"}
+    assert told["pose_jitter_m"] == {"value": 0.0, "source": "default"}
+    assert sensor_text(flight.sensor) == "noise 10 mm (default)"

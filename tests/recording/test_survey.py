@@ -147,6 +147,9 @@ def test_suggest_config__loads_and_says_why(shifted, tmp_path):
     assert config.sensor.axes == "x_forward"
     noise = DepthNoise(config.sensor.noise_m, config.sensor.noise_relative)
     assert noise.at(1.2) == pytest.approx(0.01, rel=0.2)
+    assert not config.sensor.mixed_pixels
+    assert config.sensor.pose_jitter_m == pytest.approx(0.003, rel=0.1)
+    assert config.sensor.pose_jitter_deg == pytest.approx(0.15, rel=0.1)
     assert config.filtering.floor_trim_height == pytest.approx(0.35, abs=0.051)
     assert config.filtering.radii == (0.06,)
     assert 0.8 < config.filtering.window.x[1] <= 3.0

@@ -101,6 +101,23 @@ def test_refit__tells_how_certain_the_axis_is():
     np.testing.assert_allclose(spread, np.sqrt(np.diag(np.mean(matrices, axis=0))), rtol=0.3)
 
 
+def test_refit__scans_that_share_an_error_count_as_fewer():
+    """Each scan lies off as a whole, by an error that four scans in a row share."""
+    rng, zero = np.random.default_rng(2), straight(GOOD, 0, 0, 0, 0)[0]
+    one, many = replace(GOOD, scans=400), told(GOOD, zero, noise=1.0, per_bin=2000)
+    matrix, _ = normal_matrix(many.coarse(0)[many.coarse_bins(0, one.first, one.last)])
+    many.evidence.scatter[0] = 0.579 * matrix  # as rays alone would scatter, which share nothing
+    own, shared = (refit(one, 0, one.first, one.last, many, (), k).covariance for k in (1.0, 4.0))
+    np.testing.assert_allclose(own, shared, rtol=1e-6, atol=1e-15)
+    errors = np.repeat(rng.normal(0.0, 0.003, (100, 2)), 4, axis=0)
+    scores = (matrix[:2, :2] / 400 @ errors.T).T
+    many.evidence.scatter[0, :2, :2] += scores.T @ scores
+    alike = refit(one, 0, one.first, one.last, many, (), 4.0)
+    across = np.array(one.normals) @ alike.covariance[:3, :3] @ np.array(one.normals).T
+    true = 0.003 / np.sqrt(100) / 0.771  # Tukey's slope, for rays without noise of their own
+    np.testing.assert_allclose(np.sqrt(np.diag(across)), true, rtol=0.2)
+
+
 def test_refit__asks_only_the_stretch():
     def offset(s):
         return np.array([0.003, 0.0]) if s < 0.0 else np.array([0.03, 0.0])

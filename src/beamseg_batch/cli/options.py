@@ -73,6 +73,12 @@ _CONFIG_OPTIONS = (
     click.option("--max-scans", metavar="N", help="Use at most N clouds."),
     click.option("--strict", is_flag=True, help="Refuse a damaged recording."),
     click.option(
+        "--sensor",
+        "sensor_model",
+        metavar="NAME|FILE",
+        help="What the camera is known to be, such as voxl_tof; else it is measured.",
+    ),
+    click.option(
         "--extrinsic",
         metavar="X,Y,Z[,R,P,Y]",
         help="Where the camera sits on the drone: metres, then roll, pitch, yaw in degrees.",
@@ -112,6 +118,7 @@ class ConfigOptions:
     every: str | None
     max_scans: str | None
     strict: bool
+    sensor_model: str | None
     extrinsic: str | None
 
     def load(self) -> RunConfig:
@@ -142,6 +149,8 @@ class ConfigOptions:
                 overrides.append(f"recording.{key}={_number(option, value)}")
         if self.strict:
             overrides.append("recording.strict=true")
+        if self.sensor_model is not None:
+            overrides.append(f"sensor.model={json.dumps(self.sensor_model)}")
         if self.extrinsic is not None:
             overrides.append(f"sensor.extrinsic={json.dumps(parse_extrinsic(self.extrinsic))}")
         return overrides

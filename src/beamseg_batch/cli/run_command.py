@@ -211,6 +211,7 @@ def _tell(result: FlightResult, level: int) -> None:
 
 def _six_lines(result: FlightResult, written: WrittenRun) -> str:
     """Sum a run up for the person who started it."""
+    from beamseg_batch.outputs import sensor_text
     from beamseg_batch.reasons import in_words
 
     refused = in_words(result.rejections, "candidates")
@@ -227,6 +228,7 @@ def _six_lines(result: FlightResult, written: WrittenRun) -> str:
             f"not beams      {refused or 'no candidate was refused'}",
             f"scans          {len(result.scans)} used, {result.skipped.total()} skipped, "
             f"{result.recording.duration_s:.1f} s of flight",
+            f"sensor         {sensor_text(result.sensor)}",
             f"time           {result.wall_s:.1f} s{pace}",
             f"report         {written.report or written.folder}",
         ]

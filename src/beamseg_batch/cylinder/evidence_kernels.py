@@ -105,6 +105,24 @@ def gain(residual: float, hidden: bool, best: float, side: float, background: fl
 
 
 @kernel
+def _sunk(
+    footprint: float, entry: float, wx: float, wy: float, wz: float, b: FloatArray, side: float,
+    radius: float,
+) -> float:  # fmt: skip
+    """How much deeper than its middle a pixel's footprint lies on a cylinder, on average, metres.
+
+    A surface curves away on both sides: half its second derivative across the axis, times the
+    variance of the lateral place within the footprint, a square in the image.
+    """
+    along = wx * b[0] + wy * b[1] + wz * b[2]
+    across = 1.0 - along * along
+    tilt = wy * b[2] - wz * b[1]  # of the direction of that place against the image, times sines
+    width = footprint * entry * wx
+    variance = width * width / 12.0 * (1.0 - tilt * tilt / across)
+    return float(0.5 * variance / (radius * (1.0 - side * side) ** 1.5 * np.sqrt(across)))
+
+
+@kernel
 def _weigh(
     row: FloatArray, score: FloatArray, weight: float, s: float, u: float, v: float, r: float,
     e: float,
@@ -227,7 +245,9 @@ def gather(
             incidence = nx * wx + ny * wy + nz * wz
             if abs(incidence) < _MIN_INCIDENCE:
                 continue
-            share = e / tukey
+            if view.footprint > 0.0:
+                e -= _sunk(view.footprint, entry, wx, wy, wz, b, side, radius) / sigma
+            share = min(abs(e) / tukey, 1.0)
             scale = 1.0 / (incidence * sigma)
             coarse = evidence.coarse_at[j] + int((s - start) / COARSE)
             coarse = min(coarse, evidence.coarse_at[j + 1] - 1)

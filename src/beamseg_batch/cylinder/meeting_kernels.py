@@ -47,6 +47,8 @@ class View(NamedTuple):
     height, floor : float, metres
     blur : float, radians
         How far from the outline of a beam its pixels may hold something else, too.
+    footprint : float, radians
+        Width of a pixel that measures the mean depth over it; 0 for one that is a point.
     """
 
     points: NDArray[np.floating]
@@ -61,6 +63,7 @@ class View(NamedTuple):
     height: float
     floor: float
     blur: float
+    footprint: float
 
 
 class Cylinders(NamedTuple):

@@ -11,6 +11,7 @@ from beamseg_batch.outputs.run_folder import (
     read_run,
     write_run,
 )
+from beamseg_batch.outputs.summary import sensor_text
 
 __all__ = [
     "OutputFolder",
@@ -20,5 +21,6 @@ __all__ = [
     "partial_path",
     "planned_files",
     "read_run",
+    "sensor_text",
     "write_run",
 ]

@@ -19,7 +19,7 @@ from beamseg_batch.outputs.figures import (
     structure_figure,
     times_by_lines_figure,
 )
-from beamseg_batch.outputs.summary import summarise
+from beamseg_batch.outputs.summary import sensor_text, summarise
 from beamseg_batch.pages.figures import Figure
 from beamseg_batch.pages.rendering import render_page
 from beamseg_batch.reasons import REASONS
@@ -56,6 +56,7 @@ def render_report(result: FlightResult, summary: Mapping[str, Any] | None = None
         figures,
         filters={"ms": _ms, "megabytes": _megabytes},
         summary=summary,
+        sensor_text=sensor_text(result.sensor),
         has_structure="structure" in figures,
         beams=[_beam_row(n, s, result) for n, s in enumerate(result.segments[:MAX_TABLE_ROWS])],
         intersections=[_intersection_row(i) for i in result.intersections[:MAX_TABLE_ROWS]],

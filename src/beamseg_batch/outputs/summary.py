@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from beamseg_batch.geometry import FloatArray
-from beamseg_batch.model import STAGES, FlightResult, RecordingInfo, ScanRecord
+from beamseg_batch.model import STAGES, FlightResult, RecordingInfo, ScanRecord, SensorModel
 from beamseg_batch.outputs.columns import time_origin_ns
 from beamseg_batch.reasons import KINDS, LEFTOVER, REASONS
 from beamseg_batch.tables import TABLES
 
-__all__ = ["SCHEMA_VERSION", "results_sha256", "summarise", "summary_json"]
+__all__ = ["SCHEMA_VERSION", "results_sha256", "sensor_text", "summarise", "summary_json"]
 
 SCHEMA_VERSION = 1
 """Raised when a key of the summary changes its name or its meaning."""
@@ -47,6 +47,7 @@ def summarise(result: FlightResult, files: Iterable[str], results_hash: str) -> 
         "schema_version": SCHEMA_VERSION,
         "versions": _versions(),
         "recording": _recording(result),
+        "sensor": _sensor(result.sensor),
         "profile": result.config.profile,
         "counts": _counts(result),
         "rejections": _rejections(result),
@@ -157,6 +158,52 @@ def _extrinsic(recording: RecordingInfo) -> dict[str, Any]:
         "translation_m": recording.T_body_sensor.translation.tolist(),
         "rotation_matrix": (recording.T_body_sensor.rotation + 0.0).tolist(),
     }
+
+
+def _sensor(sensor: SensorModel) -> dict[str, Any]:
+    noise, jitter, pitch = sensor.noise, sensor.jitter, sensor.pitch_rad
+    values = {
+        "noise_m": (noise.constant, noise.source),
+        "noise_relative": (noise.relative, noise.source),
+        "mixed_pixels": (noise.mixed, noise.mixed_source),
+        "pixel_pitch_rad": (pitch, "default" if pitch is None else "measured"),
+        "pose_jitter_m": (jitter.position, jitter.position_source),
+        "pose_jitter_deg": (math.degrees(jitter.attitude), jitter.attitude_source),
+    }
+    return {name: {"value": v, "source": source} for name, (v, source) in values.items()} | {
+        "poses_smoothed": jitter.smoothed,
+        "pose_jitter_left_m": jitter.left_position,
+        "pose_jitter_left_deg": math.degrees(jitter.left_attitude),
+    }
+
+
+def sensor_text(sensor: SensorModel) -> str:
+    """Say in one line what a run took the camera and its poses for.
+
+    Parameters
+    ----------
+    sensor : SensorModel
+
+    Returns
+    -------
+    str
+    """
+    noise, jitter = sensor.noise, sensor.jitter
+    relative = f" + {1e2 * noise.relative:.2g} % of the depth" if noise.relative else ""
+    pitch = "" if sensor.pitch_rad is None else f", {1e3 * sensor.pitch_rad:.1f} mrad a pixel"
+    mixed = ", mixed at edges" if noise.mixed else ""
+    left = f", smoothed to {_jitter_text(jitter.left_position, jitter.left_attitude)}"
+    sources = sorted({jitter.position_source, jitter.attitude_source} - {"default"})
+    poses = (
+        f"poses jitter by {_jitter_text(jitter.position, jitter.attitude)} "
+        f"({' and '.join(sources)}){left if jitter.smoothed else ''}"
+    )
+    depths = f"noise {1e3 * noise.constant:.2g} mm{relative} ({noise.source}){pitch}{mixed}"
+    return "; ".join([depths, poses] if sources else [depths])
+
+
+def _jitter_text(position: float, attitude: float) -> str:
+    return f"{1e3 * position:.2f} mm, {math.degrees(attitude):.3f}°"
 
 
 def _counts(result: FlightResult) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from beamseg_batch.config import RunConfig
 from beamseg_batch.errors import NoScansError, RecordingError
 from beamseg_batch.geometry import RigidTransform
-from beamseg_batch.model import RecordingInfo, Scan, SkippedScan, Trajectory
+from beamseg_batch.model import PoseJitter, RecordingInfo, Scan, SkippedScan, Trajectory
 from beamseg_batch.recording.axes import (
     T_OPTICAL_SENSOR,
     AheadAxis,
@@ -42,6 +42,7 @@ from beamseg_batch.recording.frames import (
     read_static_tree,
     tree_of,
 )
+from beamseg_batch.recording.jitter import without_jitter
 from beamseg_batch.recording.kept_scans import KeptScans
 from beamseg_batch.recording.matching import match_pose, nearest_gaps
 from beamseg_batch.recording.pose_arrays import resampled
@@ -81,9 +82,10 @@ class Flight:
     config : RunConfig
     clouds, poses : TopicChoice
     trajectory : Trajectory
-        All poses of the recording.
+        All poses of the recording, smoothed where they jitter.
     epochs : tuple of PoseEpoch
         The same by the state of their clock.
+    jitter : PoseJitter
     roles : FrameRoles
     extrinsic : Extrinsic
     axis : AheadAxis
@@ -98,6 +100,7 @@ class Flight:
     poses: TopicChoice
     trajectory: Trajectory
     epochs: tuple[PoseEpoch, ...]
+    jitter: PoseJitter
     roles: FrameRoles
     extrinsic: Extrinsic
     axis: AheadAxis
@@ -274,6 +277,7 @@ def open_flight(recording: Recording, config: RunConfig) -> Flight:
     sample = _Sample(recording, clouds.topic, reader)
     tree = read_static_tree(recording)
     poses = _read_poses_nearby(recording, choice, clouds.topic, tree, sample, config)
+    poses, jitter = _steadied(poses, config)
     roles = find_roles(poses.edge, sample.header.frame, poses.tree, config.recording)
     extrinsic = find_extrinsic(config.sensor, poses.tree, roles)
     axis = _ahead(sample, config, roles, poses)
@@ -290,6 +294,7 @@ def open_flight(recording: Recording, config: RunConfig) -> Flight:
         choice,
         poses.trajectory,
         poses.epochs,
+        jitter,
         roles,
         extrinsic,
         axis,
@@ -421,6 +426,14 @@ def _read_poses_nearby(
             if len(stamps) and nearest_gaps(poses.trajectory.stamps_ns, stamps)[0] < _NEAR_POSE_NS:
                 return poses
     return read_poses(recording, choice, tree, frame, config)
+
+
+def _steadied(poses: FlightPoses, config: RunConfig) -> tuple[FlightPoses, PoseJitter]:
+    """Take the jitter out of poses, as far as the configuration asks for it."""
+    recorded = [epoch.trajectory for epoch in poses.epochs]
+    steady, jitter = without_jitter(recorded, config.sensor, config.matching.smooth)
+    epochs = zip(poses.epochs, steady, strict=True)
+    return replace(poses, epochs=tuple(replace(e, trajectory=t) for e, t in epochs)), jitter
 
 
 def read_poses(

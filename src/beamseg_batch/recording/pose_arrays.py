@@ -8,7 +8,17 @@ from numpy.typing import NDArray
 from beamseg_batch.geometry import FloatArray, RigidTransform
 from beamseg_batch.model import Trajectory
 
-__all__ = ["chained", "constant", "resampled", "reversed_poses", "rotated", "smoothed"]
+__all__ = [
+    "chained",
+    "constant",
+    "product",
+    "quaternions_of",
+    "resampled",
+    "reversed_poses",
+    "rotated",
+    "rotation_vectors",
+    "smoothed",
+]
 
 _EVEN_STEP_NS = 10_000_000
 _STRAIGHT = 0.9995
@@ -75,7 +85,7 @@ def chained(first: Trajectory, second: Trajectory) -> Trajectory:
     Trajectory
     """
     turned = rotated(first.quaternions_xyzw, second.positions)
-    quaternions = _product(first.quaternions_xyzw, second.quaternions_xyzw)
+    quaternions = product(first.quaternions_xyzw, second.quaternions_xyzw)
     return Trajectory(first.stamps_ns, first.positions + turned, quaternions)
 
 
@@ -137,12 +147,57 @@ def _slerp(first: FloatArray, second: FloatArray, share: FloatArray) -> FloatArr
     return unit
 
 
-def _product(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Products of quaternions x, y, z, w, row by row."""
+def product(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Products of quaternions, row by row: the second rotation, then the first.
+
+    Parameters
+    ----------
+    first, second : (N, 4) float64, x y z w
+
+    Returns
+    -------
+    (N, 4) float64
+    """
     u, a = first[:, :3], first[:, 3:]
     v, b = second[:, :3], second[:, 3:]
     real = a * b - np.sum(u * v, axis=1, keepdims=True)
     return np.hstack([a * v + b * u + np.cross(u, v), real])
+
+
+def rotation_vectors(quaternions: FloatArray) -> FloatArray:
+    """Rotation vectors of unit quaternions: the axis, as long as the angle in radians.
+
+    Parameters
+    ----------
+    quaternions : (N, 4) float64, x y z w
+
+    Returns
+    -------
+    (N, 3) float64, radians, no longer than pi
+    """
+    nearer = np.where(quaternions[:, 3:] < 0.0, -quaternions, quaternions)
+    sines = np.linalg.norm(nearer[:, :3], axis=1, keepdims=True)
+    halves = np.arctan2(sines, nearer[:, 3:])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        longer = np.where(sines > 0.0, 2.0 * halves / sines, 2.0)
+    vectors: FloatArray = nearer[:, :3] * longer
+    return vectors
+
+
+def quaternions_of(vectors: FloatArray) -> FloatArray:
+    """Unit quaternions of rotation vectors.
+
+    Parameters
+    ----------
+    vectors : (N, 3) float64, radians
+
+    Returns
+    -------
+    (N, 4) float64, x y z w
+    """
+    halves = 0.5 * np.linalg.norm(vectors, axis=1, keepdims=True)
+    # sinc(x / pi) is sin(x) / x, and 1 at zero.
+    return np.hstack([0.5 * vectors * np.sinc(halves / np.pi), np.cos(halves)])
 
 
 def smoothed(trajectory: Trajectory, width_s: float) -> Trajectory:

@@ -9,8 +9,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from beamseg_batch.config import RunConfig, SensorConfig
-from beamseg_batch.model import DepthNoise
-from beamseg_batch.noise import DEFAULT_NOISE, depth_noise
+from beamseg_batch.model import DepthNoise, PoseJitter
+from beamseg_batch.noise import depth_noise
 from beamseg_batch.recording.flight import Flight, open_flight
 from beamseg_batch.recording.source import Recording
 from beamseg_batch.recording.survey import Survey, survey_flight, surveyed_scans
@@ -56,6 +56,7 @@ def suggest_config(recording: Recording, config: RunConfig) -> str:
         *_matching_lines(flight),
         *_sensor_lines(flight, survey),
         *_noise_lines(noise, config.sensor),
+        *_jitter_lines(flight.jitter),
         *_filtering_lines(survey, noise, config),
     ]
     return "\n".join(lines) + "\n"
@@ -123,7 +124,7 @@ def _optics(survey: Survey) -> str:
 
 
 def _noise_lines(noise: DepthNoise, config: SensorConfig) -> Iterator[str]:
-    if noise is DEFAULT_NOISE:
+    if noise.source == "default":
         why = "nothing flat in organised clouds to measure it on: it is taken as 10 mm"
         yield _line("noise_m", None, why)
         return
@@ -135,6 +136,25 @@ def _noise_lines(noise: DepthNoise, config: SensorConfig) -> Iterator[str]:
     why = "deviation of the depths, measured on what is flat"
     yield _line("noise_m", float(f"{noise.constant:.3g}"), why)
     yield _line("noise_relative", float(f"{noise.relative:.3g}"), f"{near}, {far} in all")
+    if noise.mixed_source == "measured":
+        found = "often" if noise.mixed else "seldom"
+        why = f"edges {found} have a depth between those of both sides"
+        yield _line("mixed_pixels", noise.mixed, why)
+
+
+def _jitter_lines(jitter: PoseJitter) -> Iterator[str]:
+    values = {
+        "pose_jitter_m": (jitter.position, jitter.position_source, "along"),
+        "pose_jitter_deg": (math.degrees(jitter.attitude), jitter.attitude_source, "about"),
+    }
+    for key, (value, source, how) in values.items():
+        if source == "default":
+            yield _line(key, None, "too few poses to measure it on")
+        elif source == "configured":
+            yield _line(key, value, "as it was asked for")
+        else:
+            why = f"noise of each pose {how} each axis, beside what its neighbours foretell"
+            yield _line(key, float(f"{value:.3g}"), why)
 
 
 def _filtering_lines(survey: Survey, noise: DepthNoise, config: RunConfig) -> Iterator[str]:

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
-from beamseg_batch.config import ExtrinsicConfig, config_folder
+from beamseg_batch.config import ExtrinsicConfig, config_folder, sensor_names
 from beamseg_batch.errors import ConfigError, WorldError
 from beamseg_batch.geometry import FloatArray, RigidTransform, matrix_from_rpy
 from beamseg_batch.schema import (
@@ -148,11 +148,6 @@ class Sensor(Node):
     def T_cloud_sensor(self) -> RigidTransform:
         """From the camera's axes to those that the points are written in."""
         return self.T_body_sensor if self.extrinsic_in == "cloud" else RigidTransform.identity()
-
-
-def sensor_names() -> tuple[str, ...]:
-    """Names of the shipped sensors, sorted."""
-    return tuple(sorted(path.stem for path in (config_folder() / "sensors").glob("*.yaml")))
 
 
 def load_sensor(name_or_path: str | Path, settings: Sequence[str] = ()) -> Sensor:

@@ -10,7 +10,14 @@ import numpy as np
 
 from beamseg_batch.config import RunConfig
 from beamseg_batch.geometry import FloatArray
-from beamseg_batch.model import Candidate, DepthNoise, Detections, Intersection, Segment
+from beamseg_batch.model import (
+    Candidate,
+    DepthNoise,
+    Detections,
+    Intersection,
+    PoseJitter,
+    Segment,
+)
 from beamseg_batch.structure.candidates import Candidates
 from beamseg_batch.structure.ends import with_measured_ends
 from beamseg_batch.structure.fates import Fates, Refusal
@@ -29,6 +36,7 @@ from beamseg_batch.structure.refinement import PassRules, refined
 
 __all__ = ["EvidenceStructure"]
 
+_NO_JITTER = PoseJitter()
 _SETTLED_M = 0.005
 _MOST_SEARCHES = 3
 _BEHIND = 0.8  # radii from the visible surface to the axis, on average
@@ -73,10 +81,16 @@ class EvidenceStructure:
     ----------
     config : RunConfig
     noise : DepthNoise
+    jitter : PoseJitter, optional
+        Of the poses of the scans.
     """
 
-    def __init__(self, config: RunConfig, noise: DepthNoise) -> None:
+    def __init__(
+        self, config: RunConfig, noise: DepthNoise, jitter: PoseJitter = _NO_JITTER
+    ) -> None:
         self.config = config
+        self._jitter = jitter
+        self._stamps_ns: list[int] = []
         self._pixels = PixelRays()
         self._camera = Camera(config.filtering, noise, self._pixels)
         self._candidates = Candidates(self._camera.sigma)
@@ -101,8 +115,14 @@ class EvidenceStructure:
             World frame, on the axes of the beams.
         """
         self._pixels.learn(detections.scan)
+        self._stamps_ns.append(detections.scan.stamp_ns)
         for segment in detections.segments:
             self._candidates.add(segment)
+
+    @property
+    def pitch_rad(self) -> float | None:
+        """Angle between neighbouring pixels, radians; None where clouds are no image."""
+        return self._pixels.pitch_rad
 
     @property
     def wants_leftovers(self) -> bool:
@@ -154,7 +174,9 @@ class EvidenceStructure:
             beams = self._fates.numbered(beams, "scans")
         self._waiting = self._waiting[1:]
         radii = self.config.filtering.radii
-        self._beams = refined(beams, sums, self._camera.sigma, kind.rules, radii, self._fates)
+        self._beams = refined(
+            beams, sums, self._camera.sigma, kind.rules, radii, self._scans_alike(), self._fates
+        )
         if self._waiting or self.wants_leftovers or _have_moved(beams, self._beams):
             return True
         if not self._closely and self._camera.stride > 1:
@@ -166,6 +188,13 @@ class EvidenceStructure:
             self._trial = RadiusTrial(self._beams, radii)
             return True
         return False
+
+    def _scans_alike(self) -> float:
+        """Number of successive scans that share about the same error of their poses."""
+        steps_ns = np.diff(self._stamps_ns)
+        if not len(steps_ns) or not np.median(steps_ns) > 0:
+            return 1.0
+        return max(self._jitter.memory_s / (float(np.median(steps_ns)) * 1e-9), 1.0)
 
     def _next_pass(self) -> _Pass:
         kind = self._waiting[0] if self._waiting else _SETTLING
@@ -213,10 +242,10 @@ class EvidenceStructure:
 
         Parameters
         ----------
-        likelihood : (M, 2, N) float64
-            What all rays answered to `end_question`.
+        likelihood : (G, M, 2, N) float64
+            What the rays of each part of the flight answered to `end_question`.
         """
-        self._beams = with_measured_ends(self._hypothesis(), likelihood)
+        self._beams = with_measured_ends(self._hypothesis(), likelihood, self._camera.pixel_m)
 
     def _hypothesis(self) -> list[Beam]:
         if self._beams is None:

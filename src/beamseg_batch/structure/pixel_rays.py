@@ -78,6 +78,12 @@ class PixelRays:
             return np.zeros((len(scan.points), 3)), 0, self._image
         return known, self._image_width, self._image
 
+    @property
+    def pitch_rad(self) -> float | None:
+        """Angle between neighbouring pixels straight ahead, radians; None without an image."""
+        known = self._directions() is not None and self._image_width > 0
+        return abs(float(self._image[1])) if known else None
+
     def _directions(self) -> FloatArray | None:
         if self._sum is None:
             return None

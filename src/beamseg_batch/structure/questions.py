@@ -66,6 +66,12 @@ class Camera:
         return float(np.log(_RANGE_M / (self.sigma * np.sqrt(2.0 * np.pi))))
 
     @property
+    def pixel_m(self) -> float:
+        """Width of a pixel that mixes depths, typically, metres; 0 where none does."""
+        pitch = self.pixels.pitch_rad if self.noise.mixed else None
+        return _TYPICAL_DEPTH_M * (pitch or 0.0)
+
+    @property
     def stride(self) -> int:
         """Every so manieth row and column is enough to tell where beams are, roughly."""
         return max(int(np.sqrt(self.pixels.count / _ENOUGH_PIXELS)), 1)
@@ -73,7 +79,8 @@ class Camera:
     def view(self, scan: Scan, stride: int = 1) -> View:
         """Return a scan as the kernels take it, or every so manieth row and column of it."""
         rays, width, image = self.pixels.of(scan)
-        points, pitch = scan.points, abs(float(image[1]))
+        points = scan.points
+        footprint = abs(float(image[1])) if self.noise.mixed else 0.0
         if stride > 1 and width > 0:
             points, rays = (_thinned(each, width, stride) for each in (points, rays))
             points.flags.writeable = False  # as all points of a recording
@@ -83,7 +90,7 @@ class Camera:
         return View(
             points, rays, width, image, self.noise.constant, self.noise.relative,
             self.low, self.high, pose.rotation[2].copy(), float(pose.translation[2]), self.floor,
-            _BLURRED_PIXELS * pitch if self.noise.mixed else 0.0,
+            _BLURRED_PIXELS * footprint, footprint,
         )  # fmt: skip
 
 

@@ -65,19 +65,21 @@ def refined(
     noise: float,
     rules: PassRules,
     radii: Sequence[float] = (),
+    scans_alike: float = 1.0,
     fates: Fates | None = None,
 ) -> list[Beam]:
     """Make the next hypothesis of the evidence about the present one.
 
-    A beam takes the one of `radii` that its rays show, where they show it clearly. What
-    becomes of those that are left out is told to `fates`.
+    A beam takes the one of `radii` that its rays show, where they show it clearly. So many
+    successive scans as `scans_alike` share an error of their poses. What becomes of the beams
+    that are left out is told to `fates`.
     """
     fates = fates or Fates()
     found: list[Beam] = []
     refused: list[Beam] = []
     for index, beam in enumerate(beams):
         parts = [
-            refit(part, index, low, high, sums, radii)
+            refit(part, index, low, high, sums, radii, scans_alike)
             for part, low, high in _renewed(beam, index, sums, noise, rules)
         ]
         refusals = [refusal_of(part) if rules.drop else None for part in parts]
@@ -209,7 +211,13 @@ def _renewed(
 
 
 def refit(
-    beam: Beam, index: int, first: float, last: float, sums: Sums, radii: Sequence[float] = ()
+    beam: Beam,
+    index: int,
+    first: float,
+    last: float,
+    sums: Sums,
+    radii: Sequence[float] = (),
+    scans_alike: float = 1.0,
 ) -> Beam:
     """Move an axis to where the rays of a stretch put it, and take the radius that they show."""
     rows = sums.coarse(index)[sums.coarse_bins(index, first, last)]
@@ -221,7 +229,7 @@ def refit(
         return beam.between(first, last)
     chi2 = (rows[:, 13].sum() - right[:4] @ step) / rows[:, 15].sum()
     growth, _ = solve_4(matrix[:4, :4], -matrix[:4, 4])
-    known = _uncertainty(beam, matrix, right, sums.evidence.scatter[index])
+    known = _uncertainty(beam, matrix, right, sums.evidence.scatter[index], scans_alike)
     radius = _class_of(beam.radius, known, radii)
     step = np.clip(step + (radius - beam.radius) * growth, -0.05, 0.05)
     u, v = beam.normals
@@ -249,17 +257,18 @@ def _class_of(radius: float, known: Mapping[str, Any], radii: Sequence[float]) -
 
 
 def _uncertainty(
-    beam: Beam, matrix: FloatArray, right: FloatArray, scatter: FloatArray
+    beam: Beam, matrix: FloatArray, right: FloatArray, scatter: FloatArray, scans_alike: float
 ) -> dict[str, Any]:
     """Covariance of the axis, and the radius that fits best, with its deviation.
 
     The normal equations are those of independent rays; what rays of one scan have in common,
-    as an error of its pose, shows in how far scans disagree.
+    as an error of its pose, shows in how far scans disagree; that counts as often as there
+    are scans that share it.
     """
     scans = beam.scans
     scatter = (scans * scatter + _OWN_SCANS * _SQUARE * matrix) / (scans + _OWN_SCANS)
-    axis = _sandwich(_SLOPE * matrix[:4, :4], scatter[:4, :4])
-    whole = _sandwich(_SLOPE * matrix, scatter)
+    axis = _sandwich(matrix[:4, :4], scatter[:4, :4], scans_alike)
+    whole = _sandwich(matrix, scatter, scans_alike)
     u, v = beam.normals
     frame = np.zeros((6, 4))
     frame[:3, 0], frame[:3, 1], frame[3:, 2], frame[3:, 3] = u, v, u, v
@@ -270,10 +279,22 @@ def _uncertainty(
     return found
 
 
-def _sandwich(matrix: FloatArray, scatter: FloatArray) -> FloatArray:
+def _beyond(scatter: FloatArray, own: FloatArray) -> FloatArray:
+    """Part of a scatter that is more than that of independent rays, nowhere negative."""
+    root = np.linalg.cholesky(own)
+    whitened = np.linalg.solve(root, np.linalg.solve(root, scatter).T)
+    values, vectors = np.linalg.eigh(whitened)
+    turned = root @ vectors
+    more: FloatArray = (turned * np.maximum(values - 1.0, 0.0)) @ turned.T
+    return more
+
+
+def _sandwich(matrix: FloatArray, scatter: FloatArray, scans_alike: float) -> FloatArray:
     """Covariance of a solution of normal equations, NaN where there is none."""
     try:
-        inverse = np.linalg.inv(matrix)
+        inverse = np.linalg.inv(_SLOPE * matrix)
+        if scans_alike > 1.0:
+            scatter = scatter + (scans_alike - 1.0) * _beyond(scatter, _SQUARE * matrix)
     except np.linalg.LinAlgError:
         return np.full_like(matrix, np.nan)
     covariance: FloatArray = inverse @ scatter @ inverse
