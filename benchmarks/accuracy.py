@@ -24,7 +24,7 @@ from benchmarks import rough_worlds as rough
 World = dict[str, Any]
 Random = np.random.Generator
 
-HONEST = ("offset", "angle", "radius", "ends", "member_ends")
+HONEST = ("offset", "angle", "radius", "ends", "member_ends", "bow")
 
 
 def bends(rng: Random) -> World:
@@ -148,8 +148,32 @@ def thicket(rng: Random) -> World:
     return {"members": members, "flight": _spiral(1.5, 0.7, 2.4)}
 
 
+def bows(rng: Random) -> World:
+    """Members that leave their chord by 5 to 50 mm, any way, and straight ones."""
+    members: list[World] = []
+    deviations = rng.permutation(
+        [0.0, 0.0, *rng.uniform(0.005, 0.02, 2), *rng.uniform(0.02, 0.05, 2)]
+    )
+    for number, deviation in enumerate(deviations):
+        half, lean = 0.5 * rng.uniform(1.2, 2.5), rng.uniform(-0.25, 0.25, 2)
+        if number < 4:  # upright, in a row
+            middle, way = np.array([0.0, number - 1.5, 1.65]), np.array([*lean, 1.0])
+        else:  # lying, on either side of it
+            side = 2 * number - 9
+            middle, way = (
+                np.array([0.4 * side, 0.0, 1.65 + 0.6 * side]),
+                np.array([0.0, 1.0, lean[0]]),
+            )
+        way *= half / np.linalg.norm(way)
+        member = _member(f"member {number}", middle - way, middle + way)
+        sign, roll = rng.choice([-1.0, 1.0]), _between(rng, 0, 360)
+        members.append({**member, "bow": round(float(sign * deviation), 4), "roll_deg": roll})
+    return {"members": members, "flight": _round_trip(1.5, 2.6, [0.8, 1.6, 2.4])}
+
+
 FAMILIES: dict[Callable[[Random], World], int] = {
     bends: 0, stars: 1, crossings: 2, parallels: 3, truss: 4, tower: 5, ends_first: 6, thicket: 7,
+    bows: 8,
     rough.clutters: 8, rough.clutters_4cm: 8, rough.clutters_voxl: 8, rough.thicket_cluttered: 8,
     rough.tower_cluttered: 8, rough.tower_voxl: 8, rough.radii_3: 8, rough.mixed: 8,
 }  # fmt: skip
@@ -169,7 +193,7 @@ def main() -> None:
     print(
         f"{'world':18}{'found':>10}{'wrong':>6}{'axis mm':>14}{'angle':>8}{'  own ends mm':>15}"
         f"{'  to the member':>15}{'joints':>10}"
-        f"{'  within 2 sigma: axis angle radius ends member':47}{'s':>6}"
+        f"{'bow mm':>14}{'  within 2 sigma: axis angle radius ends member bow':54}{'s':>6}"
     )
     for seed in arguments.seeds:
         for family in FAMILIES:
@@ -302,12 +326,14 @@ def _row(name: str, found: dict[str, Any]) -> str:
     angle = np.median([match["angle_deg"] for match in matches] or [np.nan])
     ends = " ".join(_spread(matches, which) for which in ("error", "member_error"))
     honest = [metrics[f"honesty.{kind}"] for kind in HONEST]
+    bow = np.abs([m["bow_error"] or 0.0 for m in matches] or [np.nan]) * 1e3
     shares = " ".join("     -" if share is None else f"{share:6.1%}" for share in honest)
     joints = "/".join(str(metrics[f"joints.{n}"]) for n in ("found", "truth", "invented"))
     return (
         f"{name:18}{metrics['matched']:>5}/{metrics['members']:<4}{wrong:>6}"
         f"{np.median(axis):>7.2f}/{axis.max():<6.2f}{angle:>8.3f}"
-        f" {ends}{joints:>10}  {shares:36}"
+        f" {ends}{joints:>10}"
+        f"{np.median(bow):>7.2f}/{bow.max():<6.2f}  {shares:43}"
         f"{found['seconds']:>6.1f}"
     )
 

@@ -201,7 +201,8 @@ def test_tables__segments_have_their_deviations_where_they_belong():
     names = SEGMENTS.column_names
     first = names.index("sigma_offset")
     assert ",".join(names[first - 1 :]) == (
-        "pca_eig_2,sigma_offset,sigma_angle_deg,measured_radius,sigma_radius,sigma_end_1,sigma_end_2,"
+        "pca_eig_2,sigma_offset,sigma_angle_deg,measured_radius,sigma_radius,"
+        "bow,sigma_bow,bow_x,bow_y,bow_z,sigma_end_1,sigma_end_2,"
         "end_1_seen,end_2_seen,first_seen_s,last_seen_s"
     )
 

@@ -293,6 +293,8 @@ class RefinementConfig(Node):
     """Whether a beam is cut into several where rays see through it."""
     snap: bool = True
     """Whether ends are drawn to the axes that pass by them."""
+    bow: bool = True
+    """Whether a beam may be bent, where the rays show clearly that it is."""
     leftovers: bool = True
     """Whether the returns that no beam explains are searched for further beams."""
     radii: bool = True

@@ -7,6 +7,7 @@ unit direction, so the parameter ``t`` along it is metres.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ __all__ = [
     "matrix_from_quaternion",
     "matrix_from_rpy",
     "normalised",
+    "parabola",
     "project_onto_line",
 ]
 
@@ -99,6 +101,25 @@ def line_parameters(points: FloatArray, anchor: FloatArray, direction: FloatArra
         If `points` is not (N, 3).
     """
     return (_points_3d(points) - anchor) @ direction
+
+
+def parabola(t: Any, first: float, last: float) -> tuple[Any, Any]:
+    """How far an axis of unit bow is from its chord, and how steeply it leaves it.
+
+    Parameters
+    ----------
+    t : float or array, metres
+        Where, along the chord.
+    first, last : float, metres
+        Its ends.
+
+    Returns
+    -------
+    off, slope : float or array
+        1 and 0 halfway, 0 and 4 over the length at the first end.
+    """
+    share = (2.0 * t - first - last) / (last - first)
+    return 1.0 - share * share, -4.0 * share / (last - first)
 
 
 def project_onto_line(points: FloatArray, anchor: FloatArray, direction: FloatArray) -> FloatArray:

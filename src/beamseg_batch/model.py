@@ -16,9 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamseg_batch.config import RunConfig
-from beamseg_batch.geometry import FloatArray, RigidTransform, covariance_along
+from beamseg_batch.geometry import FloatArray, RigidTransform, covariance_along, parabola
 
 __all__ = [
+    "BENT_M",
+    "BENT_SIGMAS",
     "STAGES",
     "Candidate",
     "DepthNoise",
@@ -210,6 +212,10 @@ class SkippedScan:
     detail: str = ""
 
 
+BENT_M, BENT_SIGMAS = 0.002, 5.0
+"""Bow, metres, and share of its deviation, above which a beam is not taken for straight."""
+
+
 @dataclass(frozen=True, eq=False)
 class Segment:
     """A beam as the report models it (section 3.1).
@@ -246,6 +252,11 @@ class Segment:
     ends_seen : (bool, bool) or None
         Whether the camera saw past each end, or what the beam ends in; None where it was not
         asked.
+    bow_vector : (3,) float64, metres
+        By how much the axis leaves its chord, which is the line between the ends, where it
+        does so most: halfway; NaN where it is not known.
+    sigma_bow : float, metres
+        Standard deviation of its length; NaN where it is not known.
     """
 
     anchor: FloatArray
@@ -265,6 +276,28 @@ class Segment:
     sigma_radius: float = np.nan
     sigma_ends: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
     ends_seen: tuple[bool, bool] | None = None
+    bow_vector: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    sigma_bow: float = np.nan
+
+    @property
+    def bow(self) -> float:
+        """Largest deviation of the axis from its chord, metres; NaN where it is not known."""
+        return float(np.linalg.norm(self.bow_vector))
+
+    @property
+    def is_bent(self) -> bool:
+        """Whether the bow is too large, and too well known, for a straight beam."""
+        return self.bow > BENT_M and self.bow > BENT_SIGMAS * self.sigma_bow
+
+    def tangent(self, t: float) -> Segment:
+        """Return the straight segment that touches the axis at `t`; this one if it is straight."""
+        if not self.is_bent:
+            return self
+        off, slope = parabola(t, self.t_min, self.t_max)
+        direction = self.direction + slope * self.bow_vector
+        direction /= np.linalg.norm(direction)
+        anchor = self.anchor + t * (self.direction - direction) + off * self.bow_vector
+        return replace(self, anchor=anchor, direction=direction, bow_vector=np.full(3, np.nan))
 
     def covariance_at(self, t: float) -> FloatArray:
         """(3, 3) float64, square metres: of the point of the axis at `t`; NaN if not known."""

@@ -170,6 +170,13 @@ _CANDIDATES = (
         "refinement.merge",
     ),
     Reason(
+        "bent",
+        "candidates",
+        "part of a bent one",
+        "one bent beam with {other}: a bow of {value:.3f} m, at most {limit:.3f} m",
+        "refinement.bow",
+    ),
+    Reason(
         "collision",
         "candidates",
         "inside another",

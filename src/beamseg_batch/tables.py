@@ -393,11 +393,16 @@ SEGMENTS = Table(
         _metres(
             "sigma_offset",
             "Standard deviation of the axis across its direction, halfway between the ends; this "
-            "and the next four are empty where they are not known",
+            "and the next ten are empty where they are not known",
         ),
         Column("sigma_angle_deg", "°", "Standard deviation of the direction"),
         _metres("measured_radius", "Radius that fits the rays best, whatever `radius` is"),
         _metres("sigma_radius", "Standard deviation of the measured radius"),
+        _metres("bow", "Largest deviation of the axis from the line between its ends"),
+        _metres("sigma_bow", "Standard deviation of the bow"),
+        _metres("bow_x", "Which way the axis deviates, x: from that line's middle to the axis"),
+        _metres("bow_y", "Which way the axis deviates, y"),
+        _metres("bow_z", "Which way the axis deviates, z"),
         _metres("sigma_end_1", "Standard deviation of the first end along the axis"),
         _metres("sigma_end_2", "Standard deviation of the second end along the axis"),
         _flag_column(

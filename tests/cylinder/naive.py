@@ -94,7 +94,7 @@ class Gathered:
         self.likelihood = np.zeros(scene.fine_at[-1])
         self.hits = np.zeros(scene.fine_at[-1])
         self.normal = np.zeros((scene.coarse_at[-1], 22))
-        self.scores = np.zeros((len(scene.anchors), 5))
+        self.scores = np.zeros((len(scene.anchors), 7))
         self.asked = np.zeros(len(scene.anchors), int)
         self.alone = np.zeros(len(scene.anchors), int)
         self.flanks = np.zeros((len(scene.anchors) if flanks else 0, 3, 2))
@@ -202,7 +202,8 @@ class Gathered:
         row[13:16] += weight * residual**2, 1, weight
         row[16:20] += weight * slopes * thicker
         row[20:22] += weight * thicker**2, weight * thicker * residual
-        self.scores[j] += weight * residual * np.append(slopes, thicker)
+        far = s * slopes[2:]
+        self.scores[j] += weight * residual * np.concatenate([slopes, [thicker], far])
 
     def _pass_by(self, j, w, depth, nearest):
         scene = self.scene
@@ -219,3 +220,48 @@ class Gathered:
         behind, reaches = depth - middle, 2 * radius + 4 * sigma
         if not explained and behind >= -reaches:
             self.flanks[j, int(apart > 0), int(behind > reaches)] += 1
+
+
+class BentTube:
+    """A tube of constant radius about a parabola, met by steps along the ray and bisection.
+
+    The axis is ``a + s b + bow (1 - x**2)``, with x from -1 at one end to 1 at the other.
+    """
+
+    def __init__(self, a, b, bow, first, last, radius):
+        self.a, self.b, self.bow = a, b, bow
+        self.first, self.last, self.radius = first, last, radius
+
+    def axis(self, s):
+        x = (2 * np.asarray(s) - self.first - self.last) / (self.last - self.first)
+        return self.a + np.multiply.outer(s, self.b) + np.multiply.outer(1 - x**2, self.bow)
+
+    def nearest(self, points):
+        """Where on the axis points are, by a golden section about their feet on the chord."""
+        middle = (points - self.a) @ self.b
+        low, high = middle - 0.2, middle + 0.2
+        ratio = (np.sqrt(5) - 1) / 2
+        for _ in range(60):
+            left, right = high - ratio * (high - low), low + ratio * (high - low)
+            closer = self._off(points, left) < self._off(points, right)
+            low, high = np.where(closer, low, left), np.where(closer, right, high)
+        return (low + high) / 2
+
+    def _off(self, points, s):
+        return np.linalg.norm(points - self.axis(s), axis=1)
+
+    def entry(self, rays, near=0.2, far=2.5):
+        """Depths at which rays enter, and where along the chord; NaN where they miss."""
+        depths = np.arange(near, far, 0.01)
+        points = (rays[:, None] * depths[:, None]).reshape(-1, 3)
+        off = self._off(points, self.nearest(points)).reshape(len(rays), -1)
+        closest = off.argmin(axis=1)
+        low, high = depths[np.maximum(closest - 12, 0)], depths[closest]
+        hit = off.min(axis=1) < self.radius
+        for _ in range(40):
+            middle = (low + high) / 2
+            points = rays * middle[:, None]
+            inside = self._off(points, self.nearest(points)) < self.radius
+            low, high = np.where(inside, low, middle), np.where(inside, middle, high)
+        entry = np.where(hit, high, np.nan)
+        return entry, np.where(hit, self.nearest(rays * high[:, None]), np.nan)

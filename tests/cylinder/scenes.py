@@ -66,7 +66,7 @@ def scene_of(beams, rng, *, size=SIZE, noise=NOISE, wall=np.inf, depths=None):
         low=np.array([0.3, -1.5, -1.5]), high=np.array([2.0, 1.5, 1.5]),
         up=np.array([0.0, 0.0, 1.0]), height=1.0, floor=-np.inf, blur=0.0, footprint=0.0,
         anchors=(starts + ends) / 2, directions=directions,
-        us=frames[:, 0].copy(), vs=frames[:, 1].copy(), radii=radii,
+        us=frames[:, 0].copy(), vs=frames[:, 1].copy(), bows=np.zeros((len(beams), 3)), radii=radii,
         firsts=-lengths / 2, lasts=lengths / 2,
         ranks=rng.permutation(len(beams)), limits=np.full(len(beams), len(beams)),
         starts=-lengths / 2 - MARGIN, fine_at=coarse_at * round(COARSE / FINE),
@@ -87,7 +87,7 @@ def cylinders_of(scene):
     """What the kernels take as beams."""
     stops = scene.starts + np.diff(scene.fine_at) * FINE
     return Cylinders(
-        scene.anchors, scene.directions, scene.us, scene.vs, scene.radii,
+        scene.anchors, scene.directions, scene.us, scene.vs, scene.bows, scene.radii,
         scene.firsts, scene.lasts, scene.starts, stops, scene.ranks, scene.limits,
     )  # fmt: skip
 
@@ -113,7 +113,7 @@ def empty_sums(scene, *, flanks=True):
         normal=np.zeros((scene.coarse_at[-1], NORMAL_COLUMNS)),
         scans=np.zeros(count, np.int64),
         flanks=np.zeros((count if flanks else 0, 3, 2)),
-        scatter=np.zeros((count, 5, 5)),
+        scatter=np.zeros((count, 7, 7)),
         asked=np.zeros(count, np.int64),
     )
 
@@ -123,7 +123,7 @@ def gathered(scene, *, flanks=True, width=None, room=None, sums=None, run=gather
     sums = sums or empty_sums(scene, flanks=flanks)
     count = len(scene.anchors)
     meetings = meetings_of(len(scene.points), room)
-    alone, scores = np.zeros(count, np.int64), np.zeros((count, 9))
+    alone, scores = np.zeros(count, np.int64), np.zeros((count, 11))
     view = view_of(scene, scene.width if width is None else width)
     run(view, cylinders_of(scene), sums, scene.tukey, scene.background, meetings, alone, scores)
     assert (meetings.head == -1).all()

@@ -216,7 +216,7 @@ def test_on_cylinders__agrees_with_distances(seed):
     anchors, radii = rng.uniform(-0.5, 0.5, (4, 3)), rng.uniform(0.02, 0.2, 4)
     directions = np.array([normalised(rng.normal(size=3)) for _ in range(4)])
     ends = np.sort(rng.uniform(-0.5, 0.5, (4, 2)), axis=1)
-    near = on_cylinders(points, anchors, directions, *ends.T.copy(), radii, reach)
+    near = on_cylinders(points, anchors, directions, *ends.T.copy(), np.zeros((4, 3)), radii, reach)
     wanted = np.zeros(50, bool)
     for a, b, (first, last), radius in zip(anchors, directions, ends, radii, strict=True):
         s = (points - a) @ b
@@ -240,4 +240,6 @@ def test_near_line__agrees_with_distances(seed):
 
 def test_on_cylinders__of_none():
     none = np.empty((0, 3))
-    assert not on_cylinders(np.zeros((3, 3)), none, none, *np.empty((3, 0)), 0.1).any()
+    assert not on_cylinders(
+        np.zeros((3, 3)), none, none, *np.empty((2, 0)), none, np.empty(0), 0.1
+    ).any()

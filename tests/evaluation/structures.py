@@ -132,7 +132,12 @@ def write_truth(path: Path, truth, joints: bool = True) -> Path:
     columns |= {name: own[:, k] for k, name in enumerate(names)}
     columns |= {f"o{name}": seen[:, k] for k, name in enumerate(names)}
     columns |= {"id": truth.names, "radius": truth.radii, "shape": truth.shapes}
-    columns |= {"bow": truth.bows, "intervals": [""] * n, "frames": [3] * n}
+    columns |= {
+        "bow": truth.bows,
+        "roll_deg": np.full(n, np.nan),
+        "intervals": [""] * n,
+        "frames": [3] * n,
+    }
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(TRUTH.encode(columns))
     if joints:
@@ -149,7 +154,7 @@ def write_run(folder: Path, ends, intersections="", original=False, radii=RADIUS
     n = len(ends)
     lines = Lines.between(ends[:, 0], ends[:, 1])
     columns = {column.name: [0] * n for column in SEGMENTS.columns}
-    unknown = [name for name in columns if name.startswith(("sigma_", "end_"))]
+    unknown = [name for name in columns if name.startswith(("sigma_", "end_", "bow"))]
     columns |= dict.fromkeys(unknown, [""] * n)
     columns |= {"segment": range(n), "t_min": [0.0] * n, "t_max": lines.lengths}
     columns |= {f"a_{axis}": lines.starts[:, k] for k, axis in enumerate("xyz")}

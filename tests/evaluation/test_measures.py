@@ -370,6 +370,13 @@ def test_evaluate__sigmas_are_held_against_true_errors():
     assert metrics["honesty.ends"] is None
 
 
+def test_evaluate__sigmas_of_bows():
+    truth = truth_of(ENDS, bows=0.02)
+    bows, sigmas = np.array([0.021] * 5), {"bow": np.array([0.0006, 0.0004, 0.001, 0.0001, np.nan])}
+    metrics = metrics_of(ENDS, truth, bows=bows, sigmas=sigmas)
+    assert metrics["honesty.bow"] == pytest.approx(2 / 4)
+
+
 def test_evaluate__sigmas_of_ends_are_along_the_axis_and_of_own_ends():
     member = np.array([[[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]])
     seen = np.array([[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]])

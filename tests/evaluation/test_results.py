@@ -34,7 +34,7 @@ def test_load_result__reads_the_ends(tmp_path):
     np.testing.assert_allclose(ends_of(result), ends, atol=1e-12)
     assert result.radii.tolist() == [0.05] * 4
     assert result.shapes == ("round",) * 4
-    assert result.bows is None
+    assert np.isnan(result.bows).all()
     assert result.sigmas == {}
 
 

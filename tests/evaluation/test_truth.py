@@ -243,6 +243,30 @@ def test_load_truth__bent_member_meets_where_it_is(tmp_path):
     assert load_truth(file).joints == ()
 
 
+def test_load_truth__chord_of_a_bent_member_ends_where_the_view_was_cut(tmp_path):
+    """What a run can know of an arc of which it saw a half: that half's chord and bow."""
+    file = tmp_path / "truth.csv"
+    header = f"{HEADER},shape,bow,roll_deg,ox1,oy1,oz1,ox2,oy2,oz2\n"
+    rows = [
+        "half,-1,0,1,1,0,1,0.05,round,0.04,0,0,0,1,0.99,0,1",
+        "whole,-1,0,3,1,0,3,0.05,round,0.04,0,-0.98,0,3,1,0,3",
+        "unseen,-1,0,5,1,0,5,0.05,round,0.04,0,,,,,,",
+        "straight,-1,0,7,1,0,7,0.05,round,0,0,0,0,7,1,0,7",
+    ]
+    file.write_text(header + "\n".join(rows) + "\n")
+    truth = load_truth(file)
+    starts, ends = truth.chords.starts, truth.chords.ends
+    np.testing.assert_allclose(truth.axes.starts, [[-1, 0, z] for z in (1, 3, 5, 7)])
+    np.testing.assert_allclose(starts[:, 0], [0.0, -1.0, -1.0, -1.0])
+    np.testing.assert_allclose(starts[0], [0.0, 0.0, 1.04], atol=1e-12)
+    np.testing.assert_allclose(ends, [[1, 0, z] for z in (1, 3, 5, 7)], atol=1e-12)
+    np.testing.assert_allclose(truth.chord_bows, [0.01, 0.04, 0.04, 0.0], atol=1e-4)
+    assert truth.own_ends[:2].tolist() == [[False, True], [True, True]]
+    np.testing.assert_allclose(truth.seen[0, 0], [0.0, 0.0, 1.04], atol=1e-12)
+    np.testing.assert_allclose(truth.seen[3], [[0, 0, 7], [1, 0, 7]], atol=1e-12)
+    assert truth.counts.tolist() == [True, True, False, True]
+
+
 def test_joint_counts__two_members_must_be_seen_there():
     ends = np.array([[[0, 0, 0], [2, 0, 0]], [[0, 0, 0], [0, 2, 0]]], dtype=float)
     seen = ends.copy()

@@ -174,10 +174,16 @@ def test_read_run__damaged(tmp_path, flight_without_report, name, content, reaso
 
 def test_read_run__what_is_not_known_stays_unknown(tmp_path, make_flight):
     flight = make_flight(config=RunConfig(outputs=OutputConfig(report=False)))
-    unknown = dict.fromkeys(("measured_radius", "sigma_radius"), np.nan)
+    unknown = dict.fromkeys(("measured_radius", "sigma_radius", "sigma_bow"), np.nan)
     unknown["covariance"] = np.full((6, 6), np.nan)
     segments = tuple(
-        replace(one, **unknown, sigma_ends=np.full(2, np.nan), ends_seen=None)
+        replace(
+            one,
+            **unknown,
+            sigma_ends=np.full(2, np.nan),
+            ends_seen=None,
+            bow_vector=np.full(3, np.nan),
+        )
         for one in flight.segments
     )
     joints = tuple(replace(one, covariance=np.full((3, 3), np.nan)) for one in flight.joints)
@@ -186,7 +192,7 @@ def test_read_run__what_is_not_known_stays_unknown(tmp_path, make_flight):
     assert_same(run.segments, segments)
     assert_same(run.joints, joints)
     sigmas = [name for name in run.tables["segments"] if name.startswith(("sigma", "end_"))]
-    assert len(sigmas) == 7
+    assert len(sigmas) == 8
     assert run.tables["segments"][sigmas].isna().all(axis=None)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -181,6 +182,33 @@ def test_EvidenceStructure__keeps_apart_beams_that_are_bent():
     assert angle_between_deg(one.direction, other.direction) == pytest.approx(10.0, abs=0.7)
     (joint,) = structure.intersections()
     np.testing.assert_allclose(joint.position, [1.0, 0.0, 1.0], atol=0.01)
+
+
+@pytest.mark.parametrize("sagitta", [0.02, 0.05])
+@pytest.mark.parametrize("pieces", [1, 2])
+def test_EvidenceStructure__finds_a_bent_beam_whole(sagitta, pieces):
+    y = np.linspace(-0.5, 0.5, 25)
+    places = np.stack([1.0 + sagitta * (1 - 4 * y**2), y, np.full(25, 1.0)], axis=1)
+    chain = [(a, b, 0.05) for a, b in pairwise(places)]
+    cuts = np.linspace(2, 22, pieces + 1).astype(int)
+    seen = [between(places[a], places[b]) for a, b in pairwise(cuts)]
+    structure, _ = flown(chain, seen, passes=10)
+    (segment,) = structure.segments()
+    assert segment.bow == pytest.approx(sagitta, abs=1e-3)
+    assert segment.bow_vector[0] == pytest.approx(sagitta, abs=1e-3)
+    assert segment.is_bent
+    assert_measured(segment, (places[0], places[-1], 0.05), axis_m=2e-3)
+
+
+def test_EvidenceStructure__takes_no_beam_for_bent_where_none_may_be():
+    y = np.linspace(-0.5, 0.5, 25)
+    places = np.stack([1.0 + 0.05 * (1 - 4 * y**2), y, np.full(25, 1.0)], axis=1)
+    chain = [(a, b, 0.05) for a, b in pairwise(places)]
+    settings = ["refinement.bow=false"]
+    structure, _ = flown(
+        chain, [between(places[2], places[22])], config=load_config("precise", overrides=settings)
+    )
+    assert len(structure.segments()) == 2
 
 
 def test_EvidenceStructure__before_any_pass_holds_the_candidates():

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from beamseg_batch.config import IntersectionConfig
+from beamseg_batch.geometry import normalised
 from beamseg_batch.structure.arrays import SegmentArrays
 from beamseg_batch.structure.axis_kernels import closest_approaches
 from beamseg_batch.structure.intersections import intersections_of
+from beamseg_batch.structure.joints import joints_of
 from tests import naive
 from tests.structure.segments import between, random_segment, turned
 
@@ -113,3 +117,42 @@ def test_closest_approaches__parallel_lines_are_nan():
 @pytest.mark.parametrize("count", [0, 1])
 def test_intersections_of__fewer_than_two_segments(count):
     assert found([between([0, 0, 0], [1, 0, 0])] * count) == ()
+
+
+# --- bent segments --------------------------------------------------------------------
+
+
+def bent(segment, bow, sigma=0.001):
+    return replace(segment, bow_vector=np.array(bow, np.float64), sigma_bow=sigma)
+
+
+@pytest.mark.parametrize("anchor", [0.0, 0.5])
+def test_intersections_of__meet_a_bent_segment_where_it_is(anchor):
+    """Its chord is 0.12 m from the rail that it touches."""
+    post = bent(between([0, 0, 0], [0, 0, 2], anchor=anchor), [0.12, 0, 0])
+    rail = between([0.05, 0, 1.5], [1, 0, 1.5])
+    for segments in ([post, rail], [rail, post]):
+        (touch,) = found(segments)
+        np.testing.assert_allclose(touch.position, [0.09, 0, 1.5], atol=1e-3)
+        assert touch.angle_deg == pytest.approx(90.0 - np.degrees(np.arctan(0.12)), abs=0.01)
+        (joint,) = joints_of(segments, [touch])[0]
+        np.testing.assert_allclose(joint.position, [0.09, 0, 1.5], atol=1e-3)
+
+
+def test_intersections_of__chord_of_a_bent_segment_touches_nothing():
+    post = bent(between([0, 0, 0], [0, 0, 2]), [0.12, 0, 0])
+    rail = between([-1, 0, 1], [0.01, 0, 1])
+    assert found([post, rail]) == ()
+    assert len(found([bent(post, [0.12, 0, 0], sigma=0.1), rail])) == 1  # is not bent for sure
+
+
+def test_tangent__touches_a_bent_segment():
+    post = bent(between([0, 0, 0], [0, 0, 2], anchor=0.25), [0.1, 0, 0])
+    line = post.tangent(1.0)
+    np.testing.assert_allclose(line.anchor + 1.0 * line.direction, [0.075, 0, 1.5], atol=1e-12)
+    np.testing.assert_allclose(line.direction, normalised(np.array([-0.1, 0, 1.0])), atol=1e-12)
+    assert post.bow == pytest.approx(0.1)
+    assert not line.is_bent
+    straight = between([0, 0, 0], [0, 0, 2])
+    assert straight.tangent(0.3) is straight
+    assert np.isnan(straight.bow)

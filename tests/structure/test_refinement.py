@@ -9,6 +9,7 @@ import pytest
 
 from beamseg_batch.cylinder.evidence_kernels import COARSE, FINE
 from beamseg_batch.geometry import normalised
+from beamseg_batch.structure.arcs import arc_matrix
 from beamseg_batch.structure.hypothesis import Beam, Sums, normal_matrix
 from beamseg_batch.structure.refinement import (
     PassRules,
@@ -20,8 +21,8 @@ from beamseg_batch.structure.refinement import (
     without_collisions,
     without_duplicates,
 )
+from tests.structure.answers import NOISE, told
 
-NOISE = 0.005
 ALONG = np.array([1.0, 0.0, 0.0])
 
 
@@ -32,34 +33,6 @@ def beam(start, end, **values):
 
 
 GOOD = beam([0, 0, 0], [1, 0, 0], score=2000.0, hits=500.0, scans=5)
-
-
-def told(one, offset, *, per_bin=40, noise=0.0, seed=0, like=4.0):
-    """Sums of rays that hit all along an axis which lies off the beam's, by its place.
-
-    `offset` gives (u, v), metres along the beam's normals, for places along it.
-    """
-    rng, sums = np.random.default_rng(seed), Sums([one])
-    middles = sums.starts[0] + COARSE * (np.arange(len(sums.coarse(0))) + 0.5)
-    likelihood, hits = sums.fine(0)
-    places = sums.starts[0] + FINE * (np.arange(len(hits)) + 0.5)
-    inside = (places > one.first) & (places < one.last)
-    hits[inside], likelihood[inside] = per_bin / 5, like * per_bin / 5
-    likelihood[~inside] = -4.0
-    for row, s in zip(sums.coarse(0), middles, strict=True):
-        if not one.first < s < one.last:
-            continue
-        turn = rng.uniform(0, 2 * np.pi, per_bin)
-        u, v = np.cos(turn) / NOISE, np.sin(turn) / NOISE
-        e = np.stack([u, v], axis=1) @ offset(s) + noise * rng.normal(size=per_bin)
-        su, sv = s * u, s * v
-        products = [u * u, u * v, v * v, u * su, u * sv, v * sv, su * su, su * sv, sv * sv]
-        row[:9] = [product.sum() for product in products]
-        row[9:13] = [(part * e).sum() for part in (u, v, su, sv)]
-        row[13:16] = (e * e).sum(), per_bin, per_bin
-        score = np.append(row[9:13], 0.0)
-        sums.evidence.scatter[0] += np.outer(score, score)
-    return sums
 
 
 def straight(one, du=0.004, dv=-0.006, su=0.01, sv=0.004):
@@ -105,8 +78,14 @@ def test_refit__scans_that_share_an_error_count_as_fewer():
     """Each scan lies off as a whole, by an error that four scans in a row share."""
     rng, zero = np.random.default_rng(2), straight(GOOD, 0, 0, 0, 0)[0]
     one, many = replace(GOOD, scans=400), told(GOOD, zero, noise=1.0, per_bin=2000)
-    matrix, _ = normal_matrix(many.coarse(0)[many.coarse_bins(0, one.first, one.last)])
-    many.evidence.scatter[0] = 0.579 * matrix  # as rays alone would scatter, which share nothing
+    span = many.coarse_bins(0, one.first, one.last)
+    ends = one.first, one.last
+    matrix, _ = arc_matrix(many.coarse(0)[span], many.middles(0)[span], *ends)
+    bows = np.eye(7)  # of offsets, slopes and the offsets that grow with the square of the place
+    bows[[5, 6], [0, 1]], bows[[5, 6], [5, 6]] = 1.0, -4.0 / one.length**2
+    back = np.linalg.inv(bows)
+    # As rays alone would scatter, which share nothing.
+    many.evidence.scatter[0] = 0.579 * back @ matrix @ back.T
     own, shared = (refit(one, 0, one.first, one.last, many, (), k).covariance for k in (1.0, 4.0))
     np.testing.assert_allclose(own, shared, rtol=1e-6, atol=1e-15)
     errors = np.repeat(rng.normal(0.0, 0.003, (100, 2)), 4, axis=0)

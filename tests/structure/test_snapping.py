@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -80,3 +82,37 @@ def test_snapped__the_evidence_vetoes_shrinking(a_bin, moves):
 @pytest.mark.parametrize("beams", [[], [POST]])
 def test_snapped__few_beams_stay(beams):
     assert snapped(beams) == beams
+
+
+# --- bent beams -----------------------------------------------------------------------
+
+
+def bowed(post):
+    return replace(post, bow=np.array([0.04, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize("gap", [-0.02, 0.03])
+def test_snapped__moves_an_end_to_an_axis_that_is_bent(gap):
+    """The chord passes 4 cm from where the axis is."""
+    rail = beam([0.03 + gap, 0.0, 1.5], [1, 0.0, 1.5])
+    post, rail = snapped([bowed(POST), rail])
+    np.testing.assert_allclose(rail.ends, [[0.03, 0, 1.5], [1, 0, 1.5]], atol=1e-5)
+    np.testing.assert_allclose(post.ends, POST.ends, atol=1e-12)
+    np.testing.assert_allclose(post.bow, [0.04, 0, 0], atol=1e-12)
+
+
+def test_snapped__an_axis_that_only_the_chord_meets_is_passed_by():
+    rail = beam([0.0, 0.045, 1.0], [1, 0.045, 1.0])
+    post = replace(POST, bow=np.array([0.0, -0.04, 0.0]))
+    np.testing.assert_allclose(snapped([post, rail])[1].ends, rail.ends, atol=1e-12)
+    straight = beam([0.01, 0.02, 1.0], [1, 0.02, 1.0])
+    assert snapped([POST, straight])[1].ends[0][0] == pytest.approx(0.0)
+    assert snapped([post, straight])[1].ends[0][0] == pytest.approx(0.01)
+
+
+def test_snapped__end_of_a_bent_beam_goes_on_along_its_axis():
+    floor = beam([-1, 0, -0.05], [1, 0, -0.05])
+    post = snapped([bowed(POST), floor])[0]
+    slope = 4 * 0.04 / 2.0
+    np.testing.assert_allclose(post.ends[0], [-0.05 * slope, 0, -0.05], atol=3e-4)
+    np.testing.assert_allclose(post.at(post.last), bowed(POST).ends[1], atol=1e-3)

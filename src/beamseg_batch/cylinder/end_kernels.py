@@ -10,7 +10,15 @@ import numpy as np
 
 from beamseg_batch.accelerate import kernel
 from beamseg_batch.cylinder.evidence_kernels import gain
-from beamseg_batch.cylinder.meeting_kernels import Cylinders, Meetings, View, forget, meet, rivals
+from beamseg_batch.cylinder.meeting_kernels import (
+    Cylinders,
+    Meetings,
+    View,
+    forget,
+    local_axis,
+    meet,
+    rivals,
+)
 from beamseg_batch.cylinder.ray_kernels import enter_cylinder, finite_depth
 from beamseg_batch.geometry import FloatArray
 
@@ -52,12 +60,17 @@ def gather_ends(
             first, last = beams.firsts[j], beams.lasts[j]
             near_first, near_last = s < first + places[-1], s > last + places[0]
             if near_first or near_last:
-                a, b = beams.anchors[j], beams.directions[j]
-                entry, leave, _, _ = enter_cylinder(
-                    wx, wy, wz, a[0], a[1], a[2], b[0], b[1], b[2], beams.radii[j]
+                a, b, bow = beams.anchors[j], beams.directions[j], beams.bows[j]
+                ax, ay, az, bx, by, bz = a[0], a[1], a[2], b[0], b[1], b[2]
+                from_s, stretch = 0.0, 1.0
+                if bow[0] != 0.0 or bow[1] != 0.0 or bow[2] != 0.0:
+                    from_s = s
+                    ax, ay, az, bx, by, bz, stretch = local_axis(beams, j, s)
+                entry, leave, at, _ = enter_cylinder(
+                    wx, wy, wz, ax, ay, az, bx, by, bz, beams.radii[j]
                 )
-                wb = wx * b[0] + wy * b[1] + wz * b[2]
-                ab = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+                wb = wx * bx + wy * by + wz * bz
+                ab = ax * bx + ay * by + az * bz
                 before, best, _ = rivals(beams, meetings, k, this)
                 sigma, side = meetings.sigma[this], meetings.side[this]
                 for which in range(2):
@@ -66,7 +79,10 @@ def gather_ends(
                     for place in range(len(places)):
                         begin = first if which else first + places[place]
                         end = last + places[place] if which else last
-                        own = finite_depth(entry, leave, s, wb, ab, begin, end)
+                        own = finite_depth(
+                            entry, leave, at, wb, ab,
+                            (begin - from_s) * stretch, (end - from_s) * stretch,
+                        )  # fmt: skip
                         if own < np.inf:
                             likelihood[j, which, place] += gain(
                                 (depth - own) / sigma, own >= before, best, side, background

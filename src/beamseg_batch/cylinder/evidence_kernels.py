@@ -39,6 +39,7 @@ _CONTESTED = 2.0  # sigmas by which a ray must fit one beam better than any othe
 _LEAST_APART = 4.0  # sigmas from the nearest competitor, for a ray to tell of the axis
 _FEWEST_ALONE = 3
 _FEWEST_BESIDE = 4.0
+_FITTED = 7  # numbers of an axis: offsets, slopes, radius, and the square of the place
 
 
 class Evidence(NamedTuple):
@@ -58,9 +59,10 @@ class Evidence(NamedTuple):
         Rays that pass a beam closely on its left and right, and found something at its
         depth, or nothing; then both sides' rays, scan by scan, divided as those of the side
         that found more. Not asked for where it is empty.
-    scatter : (M, 5, 5) float64
+    scatter : (M, 7, 7) float64
         Sums over scans of the product with itself of a scan's right-hand side of the normal
-        equations: how far scans, not rays, disagree.
+        equations: how far scans, not rays, disagree. Offsets, slopes, radius, and offsets
+        that grow with the square of the place along the axis.
     asked : (M,) int64
         Meetings of rays with the beam: where there is none, nothing was added.
     """
@@ -156,6 +158,8 @@ def _weigh(
     score[2] += weight * su * e
     score[3] += weight * sv * e
     score[4] += weight * r * e
+    score[5] += weight * s * su * e
+    score[6] += weight * s * sv * e
 
 
 @kernel
@@ -201,7 +205,7 @@ def gather(
     meetings : Meetings
         Scratch.
     alone : (M,) int64
-    scores : (M, 9) float64
+    scores : (M, 11) float64
         Scratch, zero before and after.
     """
     flanks = evidence.flanks
@@ -220,7 +224,7 @@ def gather(
             if abs(side) > 1.0:
                 reaches = 2.0 * radius / sigma + GATE
                 if best > GATE and e >= -reaches:
-                    scores[j, 5 + 2 * int(side > 0.0) + int(e > reaches)] += 1.0
+                    scores[j, _FITTED + 2 * int(side > 0.0) + int(e > reaches)] += 1.0
                 continue
             # A place just before the end may round up to it.
             start = beams.starts[j]
@@ -233,15 +237,18 @@ def gather(
             # that would push the axis away from its neighbours.
             if entry >= before or apart < _LEAST_APART or abs(e) >= min(tukey, 0.5 * apart):
                 continue
-            if not beams.firsts[j] <= s <= beams.lasts[j]:
+            first, last = beams.firsts[j], beams.lasts[j]
+            if not first <= s <= last:
                 continue
             if side * radius > radius - view.blur * entry:
                 continue
             alone[j] += 1
             a, b, u, v = beams.anchors[j], beams.directions[j], beams.us[j], beams.vs[j]
-            nx = (entry * wx - a[0] - s * b[0]) / radius
-            ny = (entry * wy - a[1] - s * b[1]) / radius
-            nz = (entry * wz - a[2] - s * b[2]) / radius
+            bow, share = beams.bows[j], (2.0 * s - first - last) / (last - first)
+            off = 1.0 - share * share
+            nx = (entry * wx - a[0] - s * b[0] - off * bow[0]) / radius
+            ny = (entry * wy - a[1] - s * b[1] - off * bow[1]) / radius
+            nz = (entry * wz - a[2] - s * b[2] - off * bow[2]) / radius
             incidence = nx * wx + ny * wy + nz * wz
             if abs(incidence) < _MIN_INCIDENCE:
                 continue
@@ -265,10 +272,10 @@ def gather(
     for j in range(len(alone)):
         if alone[j] > 0:
             evidence.scans[j] += alone[j] >= _FEWEST_ALONE
-            for row in range(5):
-                for column in range(5):
+            for row in range(_FITTED):
+                for column in range(_FITTED):
                     evidence.scatter[j, row, column] += scores[j, row] * scores[j, column]
-            scores[j, :5] = 0.0
+            scores[j, :_FITTED] = 0.0
             alone[j] = 0
     for j in range(len(flanks)):
-        _add_flanks(flanks[j], scores[j, 5:])
+        _add_flanks(flanks[j], scores[j, _FITTED:])

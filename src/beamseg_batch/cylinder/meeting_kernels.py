@@ -16,11 +16,12 @@ from beamseg_batch.accelerate import kernel
 from beamseg_batch.cylinder.ray_kernels import enter_cylinder, finite_depth
 from beamseg_batch.geometry import FloatArray
 
-__all__ = ["Cylinders", "Meetings", "View", "forget", "meet", "rivals"]
+__all__ = ["Cylinders", "Meetings", "View", "forget", "local_axis", "meet", "rivals"]
 
 _FLANK = 1.35  # radii from the axis at which a beam's surroundings begin
 _FLANK_FROM, _FLANK_TO = 0.01, 0.06  # and where they are looked at, metres further
 _PIXEL = 0.75  # pixels by which a ray may lie beside its place in the image
+_TANGENTS = 3  # along which a ray looks for a bent axis, each from where the last one put it
 
 
 class View(NamedTuple):
@@ -74,6 +75,9 @@ class Cylinders(NamedTuple):
     anchors, directions : (M, 3) float64
     us, vs : (M, 3) float64, unit vectors
         Normal to each axis and to one another.
+    bows : (M, 3) float64, metres
+        By how much each axis leaves its chord, ``anchor + s direction``, midway between its
+        ends: a parabola, which goes on beyond them. Zero for a straight beam.
     radii : (M,) float64, metres
     firsts, lasts : (M,) float64, metres
         Ends of each beam along its axis.
@@ -87,6 +91,7 @@ class Cylinders(NamedTuple):
     directions: FloatArray
     us: FloatArray
     vs: FloatArray
+    bows: FloatArray
     radii: FloatArray
     firsts: FloatArray
     lasts: FloatArray
@@ -234,6 +239,58 @@ def _clipped(
 
 
 @kernel
+def local_axis(
+    beams: Cylinders, j: int, s: float
+) -> tuple[float, float, float, float, float, float, float]:
+    """Line that touches the axis of a bent beam.
+
+    Parameters
+    ----------
+    beams : Cylinders
+    j : int
+    s : float, metres
+        Where, along the chord.
+
+    Returns
+    -------
+    ax, ay, az : float, metres
+        The point of the axis.
+    bx, by, bz : float
+        Unit direction of the axis there.
+    stretch : float
+        Length of the line by length of the chord.
+    """
+    a, b, bow = beams.anchors[j], beams.directions[j], beams.bows[j]
+    first, last = beams.firsts[j], beams.lasts[j]
+    share = (2.0 * s - first - last) / (last - first)
+    off, slope = 1.0 - share * share, -4.0 * share / (last - first)
+    bx, by, bz = b[0] + slope * bow[0], b[1] + slope * bow[1], b[2] + slope * bow[2]
+    stretch = np.sqrt(bx * bx + by * by + bz * bz)
+    return (
+        a[0] + s * b[0] + off * bow[0],
+        a[1] + s * b[1] + off * bow[1],
+        a[2] + s * b[2] + off * bow[2],
+        bx / stretch,
+        by / stretch,
+        bz / stretch,
+        stretch,
+    )
+
+
+@kernel
+def _deepest(beams: Cylinders, j: int) -> float:
+    """How far an axis is from its chord, at most, on the stretch that is asked about."""
+    bow = beams.bows[j]
+    size = np.sqrt(bow[0] * bow[0] + bow[1] * bow[1] + bow[2] * bow[2])
+    middle, half = (
+        0.5 * (beams.firsts[j] + beams.lasts[j]),
+        0.5 * (beams.lasts[j] - beams.firsts[j]),
+    )
+    beyond = max(middle - beams.starts[j], beams.stops[j] - middle) / half
+    return float(size * max(1.0, beyond * beyond - 1.0))
+
+
+@kernel
 def _in_reach(
     a: FloatArray, b: FloatArray, begin: float, end: float, radius: float, reach: float
 ) -> bool:
@@ -312,18 +369,24 @@ def meet(view: View, beams: Cylinders, meetings: Meetings, flanks: bool) -> int:
         a, b, radius = beams.anchors[j], beams.directions[j], beams.radii[j]
         begin, end = beams.starts[j], beams.stops[j]
         first, last = beams.firsts[j], beams.lasts[j]
-        if not _in_reach(a, b, begin, end, radius, reach):
+        bow = beams.bows[j]
+        bent = bow[0] != 0.0 or bow[1] != 0.0 or bow[2] != 0.0
+        deep = _deepest(beams, j) if bent else 0.0
+        if not _in_reach(a, b, begin, end, radius + deep, reach):
             continue
-        ab = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
         inner = _FLANK * radius + _FLANK_FROM
         outer = _FLANK * radius + _FLANK_TO if flanks else radius
         row_first, row_last, column_first, column_last = 0, 1, 0, num_rays
         if width > 0:
             row_first, row_last, column_first, column_last = _pixels(
-                a, b, begin, end, outer, width, num_rays // width, view.image
+                a, b, begin, end, outer + deep, width, num_rays // width, view.image
             )
-        tangent_1, tangent_2 = _tangents(a, b, outer)
-        mx, my, mz = b[1] * a[2] - b[2] * a[1], b[2] * a[0] - b[0] * a[2], b[0] * a[1] - b[1] * a[0]
+        tangent_1, tangent_2 = _tangents(a, b, outer + deep)
+        ax, ay, az, bx, by, bz = a[0], a[1], a[2], b[0], b[1], b[2]
+        ab = ax * bx + ay * by + az * bz
+        mx, my, mz = by * az - bz * ay, bz * ax - bx * az, bx * ay - by * ax
+        widest = (outer + deep) * (outer + deep)
+        from_s, stretch = 0.0, 1.0
         for row in range(row_first, row_last):
             begin_column, end_column = column_first, column_last
             if width > 0:
@@ -338,14 +401,34 @@ def meet(view: View, beams: Cylinders, meetings: Meetings, flanks: bool) -> int:
                 if width > 0:
                     _look(view, sight, k)
                 wx, wy, wz, depth = sight[k, 0], sight[k, 1], sight[k, 2], sight[k, 3]
+                if bent:
+                    ax, ay, az, bx, by, bz = a[0], a[1], a[2], b[0], b[1], b[2]
+                    ab = ax * bx + ay * by + az * bz
+                    mx, my, mz = by * az - bz * ay, bz * ax - bx * az, bx * ay - by * ax
                 mixed = wx * mx + wy * my + wz * mz
-                wb = wx * b[0] + wy * b[1] + wz * b[2]
+                wb = wx * bx + wy * by + wz * bz
                 across = 1.0 - wb * wb
-                if mixed * mixed > outer * outer * across or used == len(who):
+                if mixed * mixed > widest * across or used == len(who):
                     continue
+                if bent:
+                    # Along the chord, then along lines that touch the axis where that led.
+                    from_s, stretch = 0.0, 1.0
+                    for _ in range(_TANGENTS):
+                        middle = (wx * ax + wy * ay + wz * az - wb * ab) / across
+                        half = np.sqrt(max(radius * radius - mixed * mixed / across, 0.0) / across)
+                        at = from_s + ((middle - half) * wb - ab) / stretch
+                        from_s = min(max(at, begin - radius), end + radius)
+                        ax, ay, az, bx, by, bz, stretch = local_axis(beams, j, from_s)
+                        ab = ax * bx + ay * by + az * bz
+                        mx, my, mz = by * az - bz * ay, bz * ax - bx * az, bx * ay - by * ax
+                        mixed = wx * mx + wy * my + wz * mz
+                        wb = wx * bx + wy * by + wz * bz
+                        across = 1.0 - wb * wb
+                    if mixed * mixed > outer * outer * across:
+                        continue
                 if mixed * mixed > radius * radius * across:
-                    middle = (wx * a[0] + wy * a[1] + wz * a[2] - wb * ab) / across
-                    s = middle * wb - ab
+                    middle = (wx * ax + wy * ay + wz * az - wb * ab) / across
+                    s = from_s + (middle * wb - ab) / stretch
                     x, y, z = middle * wx, middle * wy, middle * wz
                     if (
                         mixed * mixed > inner * inner * across
@@ -360,9 +443,10 @@ def meet(view: View, beams: Cylinders, meetings: Meetings, flanks: bool) -> int:
                         touched = _chained(meetings, used, touched, k)
                         used += 1
                     continue
-                entry, leave, s, lateral = enter_cylinder(
-                    wx, wy, wz, a[0], a[1], a[2], b[0], b[1], b[2], radius
+                entry, leave, at, lateral = enter_cylinder(
+                    wx, wy, wz, ax, ay, az, bx, by, bz, radius
                 )
+                s = from_s + at / stretch
                 x, y, z = entry * wx, entry * wy, entry * wz
                 if not (entry > 0.0 and begin <= s < end and _counts(view, x, y, z)):
                     continue
@@ -370,7 +454,9 @@ def meet(view: View, beams: Cylinders, meetings: Meetings, flanks: bool) -> int:
                 who[used], along[used], side[used] = j, s, lateral / radius
                 entries[used], sigmas[used] = entry, sigma
                 residual[used] = (depth - entry) / sigma
-                nearest[used] = finite_depth(entry, leave, s, wb, ab, first, last)
+                nearest[used] = finite_depth(
+                    entry, leave, at, wb, ab, (first - from_s) * stretch, (last - from_s) * stretch
+                )
                 touched = _chained(meetings, used, touched, k)
                 used += 1
     return touched

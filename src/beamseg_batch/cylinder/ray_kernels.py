@@ -300,6 +300,7 @@ def on_cylinders(
     directions: FloatArray,
     firsts: FloatArray,
     lasts: FloatArray,
+    bows: FloatArray,
     radii: FloatArray,
     reach: float,
 ) -> NDArray[np.bool_]:
@@ -309,7 +310,10 @@ def on_cylinders(
     ----------
     points : (N, 3) float64, metres
     anchors, directions : (M, 3) float64, in the same frame
-    firsts, lasts, radii : (M,) float64, metres
+    firsts, lasts : (M,) float64, metres
+    bows : (M, 3) float64, metres
+        By how much each axis leaves its chord midway between its ends, as a parabola.
+    radii : (M,) float64, metres
     reach : float, metres
         How far from a surface, or beyond an end, still counts.
 
@@ -319,11 +323,14 @@ def on_cylinders(
     """
     near = np.zeros(len(points), np.bool_)
     for j in range(len(anchors)):
-        a, b = anchors[j], directions[j]
+        a, b, bow = anchors[j], directions[j], bows[j]
         most = (radii[j] + reach) ** 2
         for k in range(len(points)):
             x, y, z = points[k, 0] - a[0], points[k, 1] - a[1], points[k, 2] - a[2]
             s = x * b[0] + y * b[1] + z * b[2]
             if firsts[j] - reach <= s <= lasts[j] + reach:
+                share = (2.0 * s - firsts[j] - lasts[j]) / (lasts[j] - firsts[j])
+                off = 1.0 - share * share
+                x, y, z = x - off * bow[0], y - off * bow[1], z - off * bow[2]
                 near[k] |= x * x + y * y + z * z - s * s < most
     return near

@@ -42,6 +42,7 @@ Metrics: TypeAlias = Mapping[str, float | int | None]
 Verdict: TypeAlias = Literal["matched", "duplicate", "fragment", "false", "set aside"]
 
 _STATISTICS = ("median", "p95", "max")
+_CLAIMED = ("offset", "angle_deg", "radius", "bow")  # deviations of a whole segment
 _HALF = 0.5  # of the shorter of two segments: beyond this overlap one is a duplicate
 
 
@@ -106,6 +107,7 @@ MEASURES = (
     Measure("honesty.offset", "", "Share of offsets at mid-overlap within 2 `sigma_offset`"),
     Measure("honesty.angle", "", "Share of angles within 2 `sigma_angle_deg`"),
     Measure("honesty.radius", "", "Share of errors of measured radii within 2 `sigma_radius`"),
+    Measure("honesty.bow", "", "Share of errors of bows within 2 `sigma_bow`"),
     Measure("honesty.ends", "", "Share of own ends within 2 `sigma_end`, along the axis"),
     Measure("honesty.member_ends", "", "The same, from where the member truly ends"),
 )
@@ -244,7 +246,7 @@ def evaluate(truth: Truth, result: Result) -> Evaluation:
     -------
     Evaluation
     """
-    measures = pair_measures(truth.axes, truth.spans, result.axes)
+    measures = pair_measures(truth.chords, truth.spans, result.axes)
     allowed = candidates(measures)
     pairs = assign(assignment_cost(measures), allowed & truth.counts[:, None])
     matches = tuple(_match(truth, result, measures, int(m), int(s)) for m, s in pairs)
@@ -307,7 +309,7 @@ def _match(
     is_round = truth.shapes[member] == "round"
     middles = [
         (lines.starts[row] + lines.ends[row]) / 2.0
-        for lines, row in ((truth.axes, member), (result.axes, segment))
+        for lines, row in ((truth.chords, member), (result.axes, segment))
     ]
     return Match(
         member=member,
@@ -325,7 +327,9 @@ def _match(
             else np.nan
         ),
         bow_error=(
-            np.nan if result.bows is None else float(result.bows[segment] - truth.bows[member])
+            np.nan
+            if result.bows is None
+            else float(result.bows[segment] - truth.chord_bows[member])
         ),
     )
 
@@ -333,7 +337,7 @@ def _match(
 def _end_errors(
     truth: Truth, result: Result, member: int, segment: int
 ) -> tuple[EndError, EndError]:
-    direction = truth.axes.directions[member]
+    direction = truth.chords.directions[member]
     ends = [result.axes.starts[segment], result.axes.ends[segment]]
     unknown = np.full(len(result.numbers), np.nan)
     sigmas = [result.sigmas.get(name, unknown)[segment] for name in ("end_1", "end_2")]
@@ -544,11 +548,12 @@ def _deviating_error(match: Match) -> float:
 def _honesty_metrics(result: Result, matches: Sequence[Match]) -> dict[str, float | int | None]:
     """Share of true errors within two of the standard deviations that are claimed."""
     unknown = np.full(len(result.numbers), np.nan)
-    claimed = {name: result.sigmas.get(name, unknown) for name in ("offset", "angle_deg", "radius")}
+    claimed = {name: result.sigmas.get(name, unknown) for name in _CLAIMED}
     errors = {
         "offset": [(m.mid_offset, claimed["offset"][m.segment]) for m in matches],
         "angle": [(m.angle_deg, claimed["angle_deg"][m.segment]) for m in matches],
         "radius": [(_deviating_error(m), claimed["radius"][m.segment]) for m in matches],
+        "bow": [(abs(m.bow_error), claimed["bow"][m.segment]) for m in matches],
         "ends": [(end.along, end.sigma) for m in matches for end in m.ends if end.own],
         "member_ends": [(e.member_along, e.sigma) for m in matches for e in m.ends if e.own],
     }

@@ -27,7 +27,7 @@ from beamseg_batch.tables import (
 
 __all__ = ["SIGMAS", "Result", "Timing", "load_result", "read_timing"]
 
-SIGMAS = ("offset", "angle_deg", "radius", "end_1", "end_2")
+SIGMAS = ("offset", "angle_deg", "radius", "end_1", "end_2", "bow")
 """Standard deviations that a run may claim, in columns ``sigma_…``."""
 
 _ANCHOR, _DIRECTION = ("a_x", "a_y", "a_z"), ("b_x", "b_y", "b_z")

@@ -60,6 +60,8 @@ class Truth:
     joints : tuple of Joint
     notes : tuple of str
         What a reader of the figures must know.
+    bends : (M,) bool, optional
+        Members of which it is known which way they are bent, so that `seen` lies on the axis.
     """
 
     source: str
@@ -71,6 +73,30 @@ class Truth:
     bows: FloatArray
     joints: tuple[Joint, ...]
     notes: tuple[str, ...] = ()
+    bends: NDArray[np.bool_] | None = None
+
+    @cached_property
+    def chords(self) -> Lines:
+        """What a run can know of the axes: of a bent one, the chord to where the view was cut."""
+        if self.bends is None:
+            return self.axes
+        own = np.stack([self.axes.starts, self.axes.ends], axis=1)
+        cut: NDArray[np.bool_] = ~self.own_ends
+        cut[~(self.bends & self.counts)] = False
+        ends = np.where(cut[:, :, None], self.seen, own)
+        chords = Lines.between(ends[:, 0], ends[:, 1])
+        is_cut = np.asarray(cut.any(axis=1), np.bool_)
+        return Lines(
+            ends[:, 0],
+            np.where(is_cut[:, None], chords.directions, self.axes.directions),
+            np.where(is_cut, chords.lengths, self.axes.lengths),
+        )
+
+    @cached_property
+    def chord_bows(self) -> FloatArray:
+        """(M,) float64, metres: deviation from those chords, halfway along them."""
+        along = np.einsum("mk,mk->m", self.chords.ends - self.chords.starts, self.axes.directions)
+        return np.asarray(self.bows * (along / self.axes.lengths) ** 2, np.float64)
 
     @cached_property
     def counts(self) -> NDArray[np.bool_]:
@@ -83,8 +109,9 @@ class Truth:
     @cached_property
     def spans(self) -> FloatArray:
         """(M, 2) float64: what was seen, along the axis; all of a member that does not count."""
-        along = np.einsum("mek,mk->me", self.seen - self.axes.starts[:, None], self.axes.directions)
-        spans: FloatArray = np.where(self.counts[:, None], along, self.axes.whole)
+        lines = self.chords
+        along = np.einsum("mek,mk->me", self.seen - lines.starts[:, None], lines.directions)
+        spans: FloatArray = np.where(self.counts[:, None], along, lines.whole)
         return spans
 
     @cached_property
@@ -103,7 +130,7 @@ class Truth:
         near = 0
         for member in joint.members:
             low, high = self.spans[member]
-            t = (joint.position - self.axes.starts[member]) @ self.axes.directions[member]
+            t = (joint.position - self.chords.starts[member]) @ self.chords.directions[member]
             near += bool(self.counts[member] and low - JOINT_M <= t <= high + JOINT_M)
         return near
 
@@ -174,17 +201,19 @@ def _from_table(path: Path) -> Truth:
         row = int(np.argmin(radii > 0.0))
         raise TruthError(f"{where}: row {row + 1}: radius {radii[row]:g} must be above 0")
     seen, notes = _seen(columns, axes, where)
+    vectors = _bow_vectors(columns)
     shapes = columns.get("shape", np.full(n, "round", dtype=object))
     return Truth(
         source=where,
         names=names,
         axes=axes,
-        seen=seen,
+        seen=_on_axes(axes, seen, vectors),
         radii=radii,
         shapes=tuple(shapes.tolist()),
         bows=np.nan_to_num(np.abs(columns.get("bow", np.zeros(n)))),
         joints=_joints(path, names, columns),
         notes=notes,
+        bends=np.asarray(vectors.any(axis=1), np.bool_),
     )
 
 
@@ -230,15 +259,37 @@ def _joints(path: Path, names: Sequence[str], columns: ColumnArrays) -> tuple[Jo
     return find_joints(_nodes(columns), columns["radius"])
 
 
+def _on_axes(axes: Lines, seen: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Lay what was seen of bent members, which is told along their chords, on their axes."""
+    share = np.einsum("mek,mk->me", seen - axes.starts[:, None], axes.directions)
+    share = share / axes.lengths[:, None]
+    lifted: FloatArray = seen + 4.0 * (share * (1.0 - share))[:, :, None] * vectors[:, None]
+    return lifted
+
+
+def _bow_vectors(columns: ColumnArrays) -> FloatArray:
+    """By how much the axes leave their chords halfway, (M, 3); zero where that is not known."""
+    vectors = [
+        member.bow * member.rotation[:, 1] if member.bow else np.zeros(3)
+        for member in _members(columns)
+    ]
+    return np.array(vectors, np.float64).reshape(-1, 3)
+
+
 def _nodes(columns: ColumnArrays) -> list[FloatArray]:
     """Nodes of the axes: bent where the table tells by how much and which way."""
+    return [member.nodes for member in _members(columns)]
+
+
+def _members(columns: ColumnArrays) -> list[Member]:
+    """Axes of the members, without their sections."""
     starts, ends = vectors(columns, _ENDS[:3]), vectors(columns, _ENDS[3:])
     unknown = np.full(len(starts), np.nan)
     bows, rolls = (columns.get(name, unknown) for name in ("bow", "roll_deg"))
     bows = np.where(np.isfinite(bows + rolls), bows, 0.0)
     section = Section("round", 0.0, 0.0)  # an axis has none
     return [
-        Member("", start, end, section, np.radians(roll), bow).nodes
+        Member("", start, end, section, np.radians(roll), bow)
         for start, end, roll, bow in zip(starts, ends, np.nan_to_num(rolls), bows, strict=True)
     ]
 

@@ -34,6 +34,7 @@ __all__ = [
 ]
 
 _CLOCK_SLACK_NS = 60 * 10**9
+_BOW = ("bow_x", "bow_y", "bow_z")
 _SEPARATOR = ";"  # between the numbers of a joint's beams
 
 
@@ -86,10 +87,13 @@ def segment_columns(segments: Sequence[Segment], origin_ns: int) -> ColumnArrays
         "sigma_angle_deg",
         "measured_radius",
         "sigma_radius",
+        "bow",
+        "sigma_bow",
     ):
         columns[name] = np.array([getattr(s, name) for s in segments], dtype=np.float64)
     columns |= _vectors(("x1", "y1", "z1"), [s.end_1 for s in segments])
     columns |= _vectors(("x2", "y2", "z2"), [s.end_2 for s in segments])
+    columns |= _vectors(_BOW, [s.bow_vector for s in segments])
     columns["shape"] = np.full(len(segments), "round", dtype=object)
     columns["n_points"] = np.array([s.n_points for s in segments], dtype=np.int64)
     columns["n_scans"] = np.array([s.n_scans for s in segments], dtype=np.int64)
@@ -266,6 +270,7 @@ def segments_from_columns(
     directions = _rows(columns, ("b_x", "b_y", "b_z"))
     eigenvalues = _rows(columns, ("pca_eig_0", "pca_eig_1", "pca_eig_2"))
     sigma_ends = _rows(columns, ("sigma_end_1", "sigma_end_2"))
+    bows = _rows(columns, _BOW)
     return tuple(
         Segment(
             anchor=anchors[i],
@@ -284,6 +289,8 @@ def segments_from_columns(
             sigma_radius=float(columns["sigma_radius"][i]),
             sigma_ends=sigma_ends[i],
             ends_seen=_both(columns["end_1_seen"][i], columns["end_2_seen"][i]),
+            bow_vector=bows[i],
+            sigma_bow=float(columns["sigma_bow"][i]),
         )
         for i in range(len(anchors))
     )

@@ -66,11 +66,11 @@ class _Pass:
 _FRESH = (
     _Pass("none", 5.0, PassRules(drop=False)),
     _Pass("likelier", 5.0, PassRules(split=False)),
-    _Pass("all", 5.0, PassRules(trimmed=True), flanks=True),
+    _Pass("all", 5.0, PassRules(bow=True, trimmed=True), flanks=True),
 )
 """Passes after new beams came: refit all, drop doubles, then let all compete."""
 
-_SETTLING = _Pass("all", 4.0, PassRules(cut=True, snap=True, trimmed=True), flanks=True)
+_SETTLING = _Pass("all", 4.0, PassRules(cut=True, snap=True, bow=True, trimmed=True), flanks=True)
 """The pass that is repeated until nothing moves."""
 
 
@@ -330,4 +330,6 @@ def _segment(beam: Beam) -> Segment:
         sigma_radius=beam.sigma_radius,
         sigma_ends=beam.sigma_ends,
         ends_seen=beam.ends_seen,
+        bow_vector=beam.measured_bow,
+        sigma_bow=beam.sigma_bow,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,14 +12,26 @@ from numpy.typing import NDArray
 
 from beamseg_batch.cylinder.evidence_kernels import COARSE, FINE, NORMAL_COLUMNS, Evidence
 from beamseg_batch.cylinder.ray_kernels import perpendiculars
-from beamseg_batch.geometry import FloatArray, covariance_along
+from beamseg_batch.geometry import FloatArray, covariance_along, parabola
 
-__all__ = ["Answer", "Beam", "Sums", "normal_matrix"]
+__all__ = ["Answer", "Beam", "Sums", "normal_matrices", "normal_matrix"]
 
 _MARGIN_BINS = 15
 """Coarse bins beyond each end in which evidence is gathered: 0.3 m."""
 
 _FINE_A_COARSE = round(COARSE / FINE)
+
+# Which column holds which product of offsets along u and v, slopes, and radius.
+_MATRIX = np.array(
+    [
+        [0, 1, 3, 4, 16],
+        [1, 2, 4, 5, 17],
+        [3, 4, 6, 7, 18],
+        [4, 5, 7, 8, 19],
+        [16, 17, 18, 19, 20],
+    ]
+)
+_RIGHT = np.array([9, 10, 11, 12, 21])
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +44,9 @@ class Beam:
     first, last : float, metres
         Ends: ``anchor + first * direction`` and likewise.
     radius : float, metres
+    bow : (3,) float64, metres
+        By how much the axis leaves that chord midway between the ends: a parabola, which
+        goes on beyond them. Zero for a straight beam.
     score : float
         Log-likelihood ratio of the evidence between the ends: beam against none.
     hits : float
@@ -53,6 +69,12 @@ class Beam:
         Standard deviations of the ends along the axis.
     ends_seen : (bool, bool) or None
         Whether rays deny that the beam goes on; None where they were not asked.
+    measured_bow : (3,) float64, metres
+        The bow that fits best, whether the beam is taken for straight or not.
+    sigma_bow : float, metres
+        Standard deviation of its length.
+    stiff : bool
+        Whether it was taken for bent once, and the rays then did not show that clearly.
     flanks : (3, 2) float64
         Rays that pass closely on its left and right and found something at its depth, or
         nothing; then all of them, scan by scan, as on the side that found more.
@@ -68,6 +90,7 @@ class Beam:
     first: float
     last: float
     radius: float
+    bow: FloatArray = field(default_factory=lambda: np.zeros(3))
     score: float = 0.0
     hits: float = 0.0
     scans: int = 0
@@ -81,6 +104,9 @@ class Beam:
     snapped: tuple[bool, bool] = (False, False)
     sigma_ends: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
     ends_seen: tuple[bool, bool] | None = None
+    measured_bow: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    sigma_bow: float = np.nan
+    stiff: bool = False
     flanks: FloatArray = field(default_factory=lambda: np.zeros((3, 2)))
     profile: FloatArray = field(default_factory=lambda: np.zeros(0))
     profile_start: float = 0.0
@@ -90,6 +116,11 @@ class Beam:
     def normals(self) -> tuple[FloatArray, FloatArray]:
         """(3,), (3,) float64: unit vectors normal to the axis and to one another."""
         return perpendiculars(self.direction)
+
+    @cached_property
+    def is_bent(self) -> bool:
+        """Whether the axis leaves its chord."""
+        return bool(self.bow.any())
 
     @property
     def length(self) -> float:
@@ -119,18 +150,34 @@ class Beam:
 
     def at(self, s: float) -> FloatArray:
         """Point of the axis."""
-        return self.anchor + s * self.direction
+        point: FloatArray = self.anchor + s * self.direction
+        return point + parabola(s, self.first, self.last)[0] * self.bow if self.is_bent else point
+
+    def tangent(self, s: float) -> Beam:
+        """Return the straight beam that touches the axis at a place, which it has in common."""
+        if not self.is_bent:
+            return self
+        direction = self.direction + parabola(s, self.first, self.last)[1] * self.bow
+        direction /= np.linalg.norm(direction)
+        anchor = self.at(s) - s * direction
+        return replace(self, anchor=anchor, direction=direction, bow=np.zeros(3))
 
     def between(self, first: float, last: float) -> Beam:
-        """Return the same axis with other ends, the anchor midway."""
+        """Return the same axis with other ends, the anchor midway on the chord."""
         middle = 0.5 * (first + last)
         moved = np.eye(6)
         moved[:3, 3:] = middle * np.eye(3)
+        scale = ((last - first) / self.length) ** 2
+        chord: dict[str, Any] = {
+            "anchor": self.at(middle), "first": first - middle, "last": last - middle
+        }  # fmt: skip
+        if self.is_bent:
+            chord = _chord(self.at(first), self.at(last), scale * self.bow)
         return replace(
             self,
-            anchor=self.at(middle),
-            first=first - middle,
-            last=last - middle,
+            **chord,
+            measured_bow=scale * self.measured_bow,
+            sigma_bow=scale * self.sigma_bow,
             covariance=moved @ self.covariance @ moved.T,
             profile_start=self.profile_start - middle,
         )
@@ -147,6 +194,19 @@ class Beam:
     def evidence_between(self, first: float, last: float) -> float:
         """Sum of the profile over a stretch of the axis."""
         return float(self.profile_between(first, last).sum())
+
+
+def _chord(start: FloatArray, end: FloatArray, bow: FloatArray) -> dict[str, Any]:
+    """Lay an axis between its ends."""
+    length = float(np.linalg.norm(end - start))
+    direction = (end - start) / length
+    return {
+        "anchor": 0.5 * (start + end),
+        "direction": direction,
+        "first": -0.5 * length,
+        "last": 0.5 * length,
+        "bow": bow - (bow @ direction) * direction,
+    }
 
 
 class Sums:
@@ -181,7 +241,7 @@ class Sums:
             normal=np.zeros((coarse_at[-1], NORMAL_COLUMNS)),
             scans=np.zeros(count, np.int64),
             flanks=np.zeros((count if flanks else 0, 3, 2)),
-            scatter=np.zeros((count, 5, 5)),
+            scatter=np.zeros((count, 7, 7)),
             asked=np.zeros(count, np.int64),
         )
 
@@ -214,6 +274,12 @@ class Sums:
     def coarse(self, index: int) -> FloatArray:
         """(N, 22) float64: normal equations of one beam, by coarse bin."""
         return self.evidence.normal[slice(*self.evidence.coarse_at[index : index + 2])]
+
+    def middles(self, index: int) -> FloatArray:
+        """(N,) float64, metres: where the middles of the coarse bins of a beam are."""
+        bins = np.arange(len(self.coarse(index)), dtype=np.float64) + 0.5
+        middles: FloatArray = float(self.starts[index]) + bins * COARSE
+        return middles
 
     def place(self, index: int, fine_bin: float) -> float:
         """Where a fine bin of a beam begins, along its axis, metres."""
@@ -255,16 +321,20 @@ def normal_matrix(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         The axis' offsets and slopes, then the radius.
     right : (5,) float64
     """
-    total = rows.sum(axis=0)
-    uu, uv, vv, suu, suv, svv, ssuu, ssuv, ssvv = total[:9]
-    ur, vr, sur, svr, rr = total[16:21]
-    matrix = np.array(
-        [
-            [uu, uv, suu, suv, ur],
-            [uv, vv, suv, svv, vr],
-            [suu, suv, ssuu, ssuv, sur],
-            [suv, svv, ssuv, ssvv, svr],
-            [ur, vr, sur, svr, rr],
-        ]
-    )
-    return matrix, np.append(total[9:13], total[21])
+    return normal_matrices(rows.sum(axis=0))
+
+
+def normal_matrices(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Normal equations of an axis and a radius, of each bin.
+
+    Parameters
+    ----------
+    rows : (..., 22) float64
+
+    Returns
+    -------
+    matrices : (..., 5, 5) float64
+        The axis' offsets and slopes, then the radius.
+    rights : (..., 5) float64
+    """
+    return rows[..., _MATRIX], rows[..., _RIGHT]

@@ -14,6 +14,8 @@ from beamseg_batch.structure.axis_kernels import closest_approaches
 
 __all__ = ["intersections_of"]
 
+_TANGENTS = 4
+
 
 def intersections_of(
     segments: Sequence[Segment], config: IntersectionConfig
@@ -39,12 +41,16 @@ def intersections_of(
     beams begin to touch.
     """
     arrays = SegmentArrays(segments)
+    bent = np.array([segment.is_bent for segment in segments], dtype=np.bool_)
     slack = config.end_slack
     found: list[Intersection] = []
     for index, segment in enumerate(segments):
         t_1, t_2, distance, sine = closest_approaches(
             arrays.rows, segment.anchor, segment.direction
         )
+        for other in map(int, np.flatnonzero(bent | bent[index])):
+            found_at = _where_bent(segment, segments[other], slack)
+            t_1[other], t_2[other], distance[other], sine[other] = found_at
         epsilon = config.epsilon or segment.radius + arrays.radii
         # Comparisons with the NaN of parallel lines are false, as they should be.
         touches = (
@@ -63,10 +69,24 @@ def intersections_of(
     return tuple(found)
 
 
+def _where_bent(one: Segment, two: Segment, slack: float) -> tuple[float, float, float, float]:
+    """Closest approach of two axes that are bent, along the lines that touch them there."""
+    t_1, t_2 = 0.5 * (one.t_min + one.t_max), 0.5 * (two.t_min + two.t_max)
+    for _ in range(_TANGENTS):
+        line, rows = one.tangent(t_1), SegmentArrays([two.tangent(t_2)]).rows
+        approach = closest_approaches(rows, line.anchor, line.direction)
+        at_1, at_2, distance, sine = (float(values[0]) for values in approach)
+        if np.isnan(distance):
+            break
+        t_1 = min(max(at_1, one.t_min - slack), one.t_max + slack)
+        t_2 = min(max(at_2, two.t_min - slack), two.t_max + slack)
+    return at_1, at_2, distance, sine
+
+
 def _intersection(
     first: int, second: int, segments: Sequence[Segment], t_1: float, t_2: float
 ) -> Intersection:
-    one, two = segments[first], segments[second]
+    one, two = segments[first].tangent(t_1), segments[second].tangent(t_2)
     point_1, point_2 = one.anchor + t_1 * one.direction, two.anchor + t_2 * two.direction
     return Intersection(
         segment_1=first,

@@ -170,8 +170,8 @@ def _joint(segments: Sequence[Segment], touching: Sequence[Intersection]) -> Joi
     each of these, so that where they do not meet all count alike.
     """
     numbers = sorted({k for one in touching for k in (one.segment_1, one.segment_2)})
-    beams = [segments[k] for k in numbers]
     guess = np.mean([one.position for one in touching], axis=0)
+    beams = [segments[k].tangent(_parameter(segments[k], guess)) for k in numbers]
     feet = np.array([beam.anchor + _parameter(beam, guess) * beam.direction for beam in beams])
     directions = np.array([beam.direction for beam in beams])
     across = np.linalg.svd(directions[:, None])[2][:, 1:]  # what is normal to each

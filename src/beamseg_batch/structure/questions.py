@@ -107,6 +107,7 @@ class _Beams:
         self.directions = _stacked([beam.direction for beam in beams])
         normals = [beam.normals for beam in beams]
         self.us, self.vs = (_stacked([pair[k] for pair in normals]) for k in (0, 1))
+        self.bows = _stacked([beam.bow for beam in beams])
         self.radii = np.array([beam.radius for beam in beams])
         self.firsts = np.array([beam.first for beam in beams])
         self.lasts = np.array([beam.last for beam in beams])
@@ -125,7 +126,8 @@ class _Beams:
         turn = pose.rotation
         return Cylinders(
             (self.anchors - pose.translation) @ turn, self.directions @ turn,
-            self.us @ turn, self.vs @ turn, self.radii, self.firsts, self.lasts,
+            self.us @ turn, self.vs @ turn, self.bows @ turn,
+            self.radii, self.firsts, self.lasts,
             starts, stops, self.ranks, self.limits,
         )  # fmt: skip
 
@@ -177,7 +179,7 @@ class AxisQuestion:
         Answer
         """
         sums, scratch = self.sums(), _Scratch()
-        alone, scores = np.zeros(len(self.beams), np.int64), np.zeros((len(self.beams), 9))
+        alone, scores = np.zeros(len(self.beams), np.int64), np.zeros((len(self.beams), 11))
         for scan in scans:
             view = self.camera.view(scan, self.stride)
             gather(
@@ -292,8 +294,9 @@ class LeftoverQuestion:
         world = world[world[:, 2] >= camera.floor]
         reach = _EXPLAINED_SIGMAS * camera.sigma
         explained = on_cylinders(
-            world, beams.anchors, beams.directions, beams.firsts, beams.lasts, beams.radii, reach
-        )
+            world, beams.anchors, beams.directions, beams.firsts, beams.lasts,
+            beams.bows, beams.radii, reach,
+        )  # fmt: skip
         left: FloatArray = world[~explained]
         return left
 

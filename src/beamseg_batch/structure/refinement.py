@@ -10,10 +10,19 @@ import numpy as np
 
 from beamseg_batch.cylinder.evidence_kernels import COARSE
 from beamseg_batch.cylinder.ray_kernels import solve_4
-from beamseg_batch.geometry import FloatArray
+from beamseg_batch.geometry import FloatArray, parabola
+from beamseg_batch.structure.arcs import (
+    Piece,
+    along_chord,
+    arc_gain,
+    arc_matrix,
+    is_clear,
+    is_worth_a_trial,
+    with_arcs,
+)
 from beamseg_batch.structure.bend_kernels import best_bend
 from beamseg_batch.structure.fates import Fates, Refusal, flank_shares
-from beamseg_batch.structure.hypothesis import Beam, Sums, normal_matrix
+from beamseg_batch.structure.hypothesis import Beam, Sums
 from beamseg_batch.structure.interval_kernels import best_intervals, densest_part
 from beamseg_batch.structure.neighbours import Neighbours
 from beamseg_batch.structure.snapping import snapped
@@ -31,10 +40,12 @@ THICKER = 1.15  # radii
 MOST_OFFSET = 0.012  # of two beams that are the same
 MOST_OFFSET_BEYOND = 0.006  # of one that goes on where another ends
 _CLASS_SIGMAS = 2.0
+_LEAST_KINK = 20.0  # by which squared residuals must fall, for two axes instead of a bent one
 _OWN_SCANS = 5  # scans' worth of trust in rays that are independent
 # Of Tukey's weight w at 4 sigmas, for normal residuals e: mean of d(w e)/de and of (w e)**2,
 # both over the mean of w, which the normal equations hold.
 _SLOPE, _SQUARE = 0.771, 0.579
+_STRAIGHT, _BENT = [0, 1, 2, 3], [0, 1, 2, 3, 5, 6]  # of the normal equations of an arc
 
 
 @dataclass(frozen=True)
@@ -47,6 +58,8 @@ class PassRules:
         Whether beams are split at bends, dropped when the evidence is weak, merged when two
         are the same, cut into several where the evidence is interrupted, and drawn to the
         axes that they meet.
+    bow : bool
+        Whether straight beams may become bent ones, where the rays show it clearly.
     trimmed : bool
         Whether all beams competed, so that none reaches far into its neighbour.
     """
@@ -56,6 +69,7 @@ class PassRules:
     merge: bool = True
     cut: bool = False
     snap: bool = False
+    bow: bool = False
     trimmed: bool = False
 
 
@@ -75,22 +89,27 @@ def refined(
     that are left out is told to `fates`.
     """
     fates = fates or Fates()
-    found: list[Beam] = []
+    pieces: list[Piece] = []
     refused: list[Beam] = []
     for index, beam in enumerate(beams):
         parts = [
-            refit(part, index, low, high, sums, radii, scans_alike)
-            for part, low, high in _renewed(beam, index, sums, noise, rules)
+            Piece(
+                refit(part, index, low, high, sums, radii, scans_alike, bow=bow), index, low, high
+            )
+            for part, low, high, bow in _renewed(beam, index, sums, noise, rules)
         ]
-        refusals = [refusal_of(part) if rules.drop else None for part in parts]
+        refusals = [refusal_of(part.beam) if rules.drop else None for part in parts]
         likely = [part for part, no in zip(parts, refusals, strict=True) if no is None]
-        found += likely
+        pieces += likely
         refused += [] if likely else [beam]
         for part, refusal in zip(parts, refusals, strict=True):
             if refusal is not None:
-                fates.note(part, refusal)
+                fates.note(part.beam, refusal)
         if not parts:
             fates.note(*_denied(beam, index, sums))
+    found = [piece.beam for piece in pieces]
+    if rules.bow and rules.merge:
+        found = with_arcs(pieces, beams, sums, noise, fates)
     found += _outdone(refused) if rules.drop else []
     found = without_duplicates(found, fates) if rules.merge else found
     found = without_collisions(found, fates) if rules.drop and rules.trimmed else found
@@ -174,8 +193,11 @@ def _denied(beam: Beam, index: int, sums: Sums) -> tuple[Beam, Refusal]:
 
 def _renewed(
     beam: Beam, index: int, sums: Sums, noise: float, rules: PassRules
-) -> list[tuple[Beam, float, float]]:
-    """Beams that become of one, each with the stretch of its axis that it is on."""
+) -> list[tuple[Beam, float, float, bool | None]]:
+    """Beams that become of one, each with the stretch of its axis that it is on.
+
+    And whether it may be bent, as `refit` takes it: what lies on either side of a kink is not.
+    """
     evidence = sums.evidence
     likelihood, hits = sums.fine(index)
     stretches = best_intervals(likelihood, INTERVAL_COST)
@@ -183,7 +205,7 @@ def _renewed(
         return []
     if not rules.cut:
         stretches = np.array([[stretches[0, 0], stretches[-1, 1]]])
-    beams = []
+    beams: list[tuple[Beam, float, float, bool | None]] = []
     for first, last in stretches:
         begin, end = densest_part(likelihood[first:last] - TRIM_A_HIT * hits[first:last])
         if end <= begin:
@@ -201,12 +223,13 @@ def _renewed(
             profile_start=float(sums.starts[index]),
         )
         low, high = sums.place(index, begin), sums.place(index, end)
-        place = bend(sums.coarse(index), sums, index, low, high, noise) if rules.split else None
+        rows = along_chord(sums.coarse(index), sums.middles(index), beam)
+        place = bend(rows, sums, index, low, high, noise, bow=rules.bow) if rules.split else None
         if place is None:
-            beams.append((part, low, high))
+            beams.append((part, low, high, rules.bow or None))
         else:
-            beams.append((part, low, min(high, place + 0.05)))
-            beams.append((part, max(low, place - 0.05), high))
+            beams.append((part, low, min(high, place + 0.05), False))
+            beams.append((part, max(low, place - 0.05), high, False))
     return beams
 
 
@@ -218,32 +241,65 @@ def refit(
     sums: Sums,
     radii: Sequence[float] = (),
     scans_alike: float = 1.0,
+    *,
+    bow: bool | None = None,
 ) -> Beam:
-    """Move an axis to where the rays of a stretch put it, and take the radius that they show."""
-    rows = sums.coarse(index)[sums.coarse_bins(index, first, last)]
+    """Move an axis to where the rays of a stretch put it, and take the radius that they show.
+
+    With `bow`, they may also show that it is bent; with None, only if it is already.
+    """
+    span = sums.coarse_bins(index, first, last)
+    middles = sums.middles(index)[span]
+    rows = along_chord(sums.coarse(index)[span], middles, beam)
     if rows[:, 14].sum() < 8:
         return beam.between(first, last)
-    matrix, right = normal_matrix(rows)
+    matrix, right = arc_matrix(rows, middles, first, last)
     step, regular = solve_4(matrix[:4, :4], right[:4])
     if not regular:
         return beam.between(first, last)
-    chi2 = (rows[:, 13].sum() - right[:4] @ step) / rows[:, 15].sum()
+    scatter = _disagreement(beam, matrix, sums.evidence.scatter[index], first, last)
+    free, spread = _solved(matrix, right, scatter, _BENT, scans_alike)
+    held = beam.is_bent if bow is None else bow
+    may_bend = held and is_clear(free[4:], spread[4:, 4:], last - first)
+    stiff = beam.stiff or (bow is True and beam.is_bent and not may_bend)
+    if bow and not (may_bend or stiff):
+        may_bend = is_worth_a_trial(free[4:], matrix, right, last - first)
+    axis, step = (_BENT, free) if may_bend else (_STRAIGHT, step)
+    chi2 = (rows[:, 13].sum() - right[axis] @ step) / rows[:, 15].sum()
     growth, _ = solve_4(matrix[:4, :4], -matrix[:4, 4])
-    known = _uncertainty(beam, matrix, right, sums.evidence.scatter[index], scans_alike)
+    known = _uncertainty(beam, matrix, right, scatter, axis, scans_alike)
     radius = _class_of(beam.radius, known, radii)
-    step = np.clip(step + (radius - beam.radius) * growth, -0.05, 0.05)
+    step = np.clip(step[:4] + (radius - beam.radius) * growth, -0.05, 0.05)
     u, v = beam.normals
     direction = beam.direction + step[2] * u + step[3] * v
+    direction /= np.linalg.norm(direction)
     moved = replace(
         beam,
         anchor=beam.anchor + step[0] * u + step[1] * v,
-        direction=direction / np.linalg.norm(direction),
+        direction=direction,
         radius=radius,
+        bow=np.zeros(3),
+        stiff=stiff,
         growth=growth,
         reduced_chi2=float(chi2),
         **known,
+    ).between(first, last)
+    bent = free[4] * u + free[5] * v
+    bent -= (bent @ direction) * direction
+    return replace(
+        moved,
+        bow=bent if may_bend else moved.bow,
+        measured_bow=bent,
+        sigma_bow=_deviation(free[4:], spread[4:, 4:], known=may_bend),
     )
-    return moved.between(first, last)
+
+
+def _deviation(bow: FloatArray, covariance: FloatArray, *, known: bool) -> float:
+    """Deviation of a bow: along it, where it is known which way it is, else the largest."""
+    if not np.isfinite(covariance).all():
+        return float("nan")
+    along = bow @ covariance @ bow / (bow @ bow) if known else np.linalg.norm(covariance, 2)
+    return float(np.sqrt(along))
 
 
 def _class_of(radius: float, known: Mapping[str, Any], radii: Sequence[float]) -> float:
@@ -256,26 +312,59 @@ def _class_of(radius: float, known: Mapping[str, Any], radii: Sequence[float]) -
     return nearest if sure else radius
 
 
-def _uncertainty(
-    beam: Beam, matrix: FloatArray, right: FloatArray, scatter: FloatArray, scans_alike: float
-) -> dict[str, Any]:
-    """Covariance of the axis, and the radius that fits best, with its deviation.
+def _disagreement(
+    beam: Beam, matrix: FloatArray, scatter: FloatArray, first: float, last: float
+) -> FloatArray:
+    """(7, 7) float64: scatter of the right-hand side of `arc_matrix`, as far as scans are known.
 
     The normal equations are those of independent rays; what rays of one scan have in common,
     as an error of its pose, shows in how far scans disagree; that counts as often as there
     are scans that share it.
     """
-    scans = beam.scans
-    scatter = (scans * scatter + _OWN_SCANS * _SQUARE * matrix) / (scans + _OWN_SCANS)
-    axis = _sandwich(matrix[:4, :4], scatter[:4, :4], scans_alike)
-    whole = _sandwich(matrix, scatter, scans_alike)
+    off, slope, share = *parabola(0.0, first, last), -4.0 / (last - first) ** 2
+    basis = np.eye(7)
+    for k in (0, 1):  # 1, s and s squared make a bow
+        basis[5 + k, [k, 2 + k, 5 + k]] = off, slope, share
+    scatter = basis @ scatter @ basis.T
+    whole: FloatArray = beam.scans * scatter + _OWN_SCANS * _SQUARE * matrix
+    return whole / (beam.scans + _OWN_SCANS)
+
+
+def _solved(
+    matrix: FloatArray,
+    right: FloatArray,
+    scatter: FloatArray,
+    which: list[int],
+    scans_alike: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Solution of some of the normal equations, and its covariance; NaN where there is none."""
+    chosen = np.ix_(which, which)
+    try:
+        solution = np.linalg.solve(matrix[chosen], right[which])
+    except np.linalg.LinAlgError:
+        return np.full(len(which), np.nan), np.full((len(which), len(which)), np.nan)
+    covariance = _sandwich(matrix[chosen], scatter[chosen], scans_alike)
+    return np.asarray(solution, np.float64), covariance
+
+
+def _uncertainty(
+    beam: Beam,
+    matrix: FloatArray,
+    right: FloatArray,
+    scatter: FloatArray,
+    axis: list[int],
+    scans_alike: float,
+) -> dict[str, Any]:
+    """Covariance of the axis, and the radius that fits best, with its deviation."""
     u, v = beam.normals
     frame = np.zeros((6, 4))
     frame[:3, 0], frame[:3, 1], frame[3:, 2], frame[3:, 3] = u, v, u, v
-    found: dict[str, Any] = {"covariance": frame @ axis @ frame.T}
-    if np.isfinite(whole).all():
-        found["free_radius"] = float(beam.radius + np.linalg.solve(matrix, right)[4])
-        found["sigma_radius"] = float(np.sqrt(whole[4, 4]))
+    _, spread = _solved(matrix, right, scatter, axis, scans_alike)
+    found: dict[str, Any] = {"covariance": frame @ spread[:4, :4] @ frame.T}
+    whole, spread = _solved(matrix, right, scatter, [*axis, 4], scans_alike)
+    if np.isfinite(spread).all():
+        found["free_radius"] = float(beam.radius + whole[-1])
+        found["sigma_radius"] = float(np.sqrt(spread[-1, -1]))
     return found
 
 
@@ -302,9 +391,19 @@ def _sandwich(matrix: FloatArray, scatter: FloatArray, scans_alike: float) -> Fl
 
 
 def bend(
-    rows: FloatArray, sums: Sums, index: int, first: float, last: float, noise: float
+    rows: FloatArray,
+    sums: Sums,
+    index: int,
+    first: float,
+    last: float,
+    noise: float,
+    *,
+    bow: bool = False,
 ) -> float | None:
-    """Where two axes explain a stretch much better than one, metres along it."""
+    """Where two axes explain a stretch much better than one, metres along it.
+
+    And better than one that is bent, where there may be such.
+    """
     span = sums.coarse_bins(index, first, last)
     rows = rows[span]
     least = round(0.25 / COARSE)
@@ -312,6 +411,8 @@ def bend(
         return None
     place, gain = best_bend(rows, least, np.radians(1.5))
     if place < 0 or gain < 200.0 or gain / rows[:, 14].sum() < (0.0025 / noise) ** 2:
+        return None
+    if bow and gain < _LEAST_KINK + arc_gain(rows, sums.middles(index)[span], first, last):
         return None
     return float(sums.starts[index] + (span.start + place) * COARSE)
 

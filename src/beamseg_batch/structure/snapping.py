@@ -16,6 +16,7 @@ _MOST_APART_M = 0.025
 _MOST_MOVE_M = 0.35
 _FREE_LOSS = 20.0  # of log-likelihood
 _LOSS_LENGTH_M = 0.005  # and what so much of a beam is worth
+_TANGENTS = 3  # along which a crossing with a bent axis is sought
 
 
 def snapped(beams: Sequence[Beam]) -> list[Beam]:
@@ -56,7 +57,7 @@ class _Crossing:
 def _snapped(index: int, beams: Neighbours, most_loss: float) -> Beam:
     beam = beams.beams[index]
     others = [beams.beams[k] for k in beams.near(beam) if k != index]
-    crossings = [found for other in others if (found := _crossing(beam, other)) is not None]
+    crossings = [found for other in others if (found := _nearby(beam, other)) is not None]
     ends, sigmas = [beam.first, beam.last], np.full(2, np.nan)
     for which, end, far in ((0, beam.first, beam.last), (1, beam.last, beam.first)):
         outwards = np.sign(end - far)
@@ -82,7 +83,23 @@ def _loss(beam: Beam, end: float, place: float, *, outward: bool) -> float:
     return -evidence if outward else evidence
 
 
-def _crossing(beam: Beam, other: Beam) -> _Crossing | None:
+def _nearby(beam: Beam, other: Beam) -> _Crossing | None:
+    """Crossing of the axes where they pass one another, which bent ones do off their chords."""
+    if not (beam.is_bent or other.is_bent):
+        return _crossing(beam, other)
+    there = float((beam.anchor - other.anchor) @ other.direction)
+    place = 0.0
+    for _ in range(_TANGENTS):
+        found = _closest(beam.tangent(place), other.tangent(there))
+        if found is None:
+            return None
+        place = min(max(found[0], beam.first), beam.last)
+        there = min(max(found[1], other.first), other.last)
+    return _crossing(beam.tangent(place), other.tangent(there))
+
+
+def _closest(beam: Beam, other: Beam) -> tuple[float, float] | None:
+    """Where two straight axes are closest, along each; None if they are about parallel."""
     cosine = float(beam.direction @ other.direction)
     sine = float(np.sqrt(max(1.0 - cosine * cosine, 0.0)))
     if sine < 0.02:
@@ -90,7 +107,16 @@ def _crossing(beam: Beam, other: Beam) -> _Crossing | None:
     apart = other.anchor - beam.anchor
     along, across = float(apart @ beam.direction), float(apart @ other.direction)
     place = (along - cosine * across) / sine**2
-    there = (cosine * along - across) / sine**2
+    return place, (cosine * along - across) / sine**2
+
+
+def _crossing(beam: Beam, other: Beam) -> _Crossing | None:
+    closest = _closest(beam, other)
+    if closest is None:
+        return None
+    place, there = closest
+    cosine = float(beam.direction @ other.direction)
+    sine = float(np.sqrt(max(1.0 - cosine * cosine, 0.0)))
     reach = min(0.1 / sine + 0.05, _MOST_MOVE_M)
     if not other.first - reach <= there <= other.last + reach:
         return None
