@@ -446,3 +446,18 @@ def test_load_config__refuses_bad_jitter(setting):
 def test_load_config__report_uses_poses_as_they_are():
     assert load_config("report").matching.smooth == "off"
     assert load_config("precise").matching.smooth == "auto"
+
+
+@pytest.mark.parametrize("value", ["auto", "null", "~"])
+def test_load_config__radii_to_be_measured(value):
+    config = load_config(overrides=[f"filtering.radii={value}"])
+    assert config.filtering.radii == ()
+    assert config.model_dump(mode="json")["filtering"]["radii"] == "auto"
+    assert "radii: auto" in config_yaml(config)
+    assert RunConfig.model_validate(config.model_dump()) == config
+
+
+@pytest.mark.parametrize("value", ["[]", "some", "[0.05, auto]", "[0.0]", "{}"])
+def test_load_config__radii_that_are_none(value):
+    with pytest.raises(ConfigError, match=r"filtering\.radii"):
+        load_config(overrides=[f"filtering.radii={value}"])

@@ -84,9 +84,32 @@ def test_thin_foreground__one_failed_pixel_beside_a_wall_is_no_opening():
     assert kept_by(replace(scan, points=points)).mean() < 0.001
 
 
-def test_thin_foreground__leaves_a_cloud_without_rows_alone():
+def without_rows(scan, share=1.0):
+    """The returns of a scan in any order, some of them left out."""
+    seen = np.flatnonzero(np.isfinite(scan.points).all(axis=1))
+    kept = np.random.default_rng(2).permutation(seen)[: int(share * len(seen))]
+    return replace(scan, points=scan.points[kept], width=len(kept), height=1), kept
+
+
+@pytest.mark.parametrize("share", [1.0, 0.5])
+@pytest.mark.parametrize("beam", [POST, RAIL])
+def test_thin_foreground__of_a_cloud_without_rows(beam, share):
+    scan, on_beam = view(beam, wall=1.6)
+    scan, order = without_rows(scan, share)
+    kept = kept_by(scan)
+    assert kept[on_beam[order]].mean() > 0.8
+    assert kept[~on_beam[order]].mean() < 0.02
+
+
+@pytest.mark.parametrize("lean", [0.0, 0.4, -0.8])
+def test_thin_foreground__keeps_little_of_a_wall_without_rows(lean):
+    scan, _ = without_rows(view(wall=1.0, lean=lean)[0], 0.5)
+    assert kept_by(scan).mean() < 0.02
+
+
+def test_thin_foreground__leaves_a_cloud_alone_whose_size_is_not_that_of_its_image():
     scan, _ = view(POST)
-    scan = replace(scan, width=len(scan.points), height=1)
+    scan = replace(scan, width=SIZE - 1)
     assert thin_foreground(scan, 0.05, 1.5, NOISE) is scan
 
 

@@ -62,10 +62,21 @@ def test_measured_noise__of_a_wall_of_one_depth():
     assert 0.0 < measured_noise([wall] * 3).at(1.0) < 1e-3
 
 
-def test_measured_noise__is_not_known_of_clouds_without_rows():
-    scans = [replace(scan, width=WIDTH * HEIGHT, height=1) for scan in flight(4, DepthNoise(0.003))]
-    assert measured_noise(scans) == DEFAULT_NOISE
-    assert measured_noise([]) == DEFAULT_NOISE
+@pytest.mark.parametrize("true", [DepthNoise(0.003), DepthNoise(0.01), DepthNoise(0.002, 0.004)])
+def test_measured_noise__of_clouds_without_rows(true):
+    rng = np.random.default_rng(4)
+    scans = [
+        replace(scan, points=rng.permutation(scan.points)[: len(scan.points) // 3], height=1)
+        for scan in flight(4, true, count=20, ragged=0.02)
+    ]
+    noise = measured_noise([replace(scan, width=len(scan.points)) for scan in scans])
+    for depth in (0.7, 1.0, 2.0):
+        assert noise.at(depth) == pytest.approx(true.at(depth), rel=0.15)
+
+
+def test_measured_noise__is_not_known_of_nothing():
+    few = replace(make_scan(np.ones((7, 3))), width=7, height=1)
+    assert measured_noise([]) == measured_noise([few]) == DEFAULT_NOISE
 
 
 def test_measured_noise__is_not_known_of_an_empty_sky():

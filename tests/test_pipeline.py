@@ -318,6 +318,39 @@ def test_process_flight__damage_far_on_keeps_the_same_with_several_jobs(run, sca
     assert content(run([*scans[:7], damage], jobs=2)) == content(run([*scans[:7], damage]))
 
 
+# --- radii that nobody knows -----------------------------------------------------------
+
+
+def test_process_flight__measures_the_radii(tmp_path):
+    settings = ["recording.max_scans=60", "filtering.radii=auto"]
+    settings += ["sensor.extrinsic={translation: [0.071, 0.011, 0.04]}"]
+    config = load_config(overrides=settings)
+    watchers = [Watcher(), Watcher()]
+    one, two = (
+        process_flight(open_recording(SAMPLE), config, jobs=jobs, progress=watcher)
+        for jobs, watcher in zip((1, 2), watchers, strict=True)
+    )
+    assert len(one.segments) >= 2
+    (radius,) = {segment.radius for segment in one.segments}
+    assert radius == pytest.approx(0.05, abs=5e-4)
+    assert one.config is config
+    proposed, measured = one.recording.notes[-2:]
+    assert "beams in 60 clouds of the flight have the radii " in proposed
+    assert f"the beams have the radii {1e3 * radius:.1f} mm" == measured
+    assert content(two) == content(one)
+    assert watchers[0] == watchers[1]
+
+
+def test_process_flight__says_where_no_beam_shows_its_radius():
+    empty = SAMPLE.with_name("empty.mcap")
+    config = load_config(overrides=["recording.max_scans=20", "filtering.radii=auto"])
+    result = process_flight(open_recording(empty), config)
+    assert result.segments == ()
+    assert result.recording.notes[-1] == (
+        "no beam shows its radius in 20 clouds of the flight: beams of 50.0 mm were looked for"
+    )
+
+
 # --- compiled code ----------------------------------------------------------------------
 
 AFTER_WARM_UP = """

@@ -13,7 +13,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    Field,
+    PlainSerializer,
+    ValidationError,
+    WithJsonSchema,
+    model_validator,
+)
 
 from beamseg_batch.errors import ConfigError
 from beamseg_batch.schema import (
@@ -136,6 +144,9 @@ class SensorConfig(Node):
     measures it in the flight."""
     pose_jitter_deg: NonNegative | None = None
     """The same of its attitude about each axis, degrees."""
+    organise: bool = True
+    """Whether clouds without rows and columns get them back, where their points lie on the rays of
+    a pinhole camera; so what did not return is known, and neighbours are."""
     axes: Literal["auto", "x_forward", "z_forward"] = "auto"
     """Which axis of the clouds looks ahead: x as on bodies, z as in optical frames, whose points
     are turned to x forward; auto: as the data, the frame's name or the transform tree says."""
@@ -164,6 +175,32 @@ class WindowConfig(Node):
         return self
 
 
+def _radii(value: Any) -> Any:
+    """Write ``auto`` and null as no radius at all, which nobody can ask for."""
+    if value is None or value == "auto":
+        return ()
+    if isinstance(value, str) or value in ([], ()):
+        raise ValueError("must be a list of radii, or auto")
+    return value
+
+
+Radii = Annotated[
+    tuple[Positive, ...],
+    BeforeValidator(_radii),
+    PlainSerializer(lambda radii: list(radii) or "auto"),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"type": "array", "items": {"type": "number", "exclusiveMinimum": 0}},
+                {"enum": ["auto"]},
+                {"type": "null"},
+            ]
+        }
+    ),
+]
+"""Radii in metres; empty where they are measured in the flight."""
+
+
 class FilteringConfig(Node):
     """Pre-processing of a cloud (report, section 3.2.2)."""
 
@@ -176,8 +213,13 @@ class FilteringConfig(Node):
     foreground: Literal["thin", "all"] = "thin"
     """thin: search only returns on both sides of which the view goes on further back within the
     width of a beam, in clouds with rows and columns: no floor, no wall; all: every return."""
-    radii: Annotated[tuple[Positive, ...], Field(min_length=1)] = (0.05,)
-    """Radii of the beams to look for, metres; searched from the largest to the smallest."""
+    outliers: Literal["none", "statistical", "plane", "dbscan"] = "none"
+    """Filter by Open3D of the points that are searched in a scan (section 2.1). statistical: drops
+    what is far from its neighbours; plane: what lies on large planes, by RANSAC; dbscan: what
+    belongs to no cluster."""
+    radii: Radii = (0.05,)
+    """Radii of the beams to look for, metres; searched from the largest to the smallest. auto, or
+    null: those that beams are found to have in a part of the flight."""
     rad_2_leaf_ratio: Positive = 1.5
     """Radius divided by the leaf size of the voxel grid."""
 
@@ -208,6 +250,10 @@ class ScreeningConfig(Node):
 
     min_pca_coeff: Share = 0.99
     """Smallest share of a segment's variance that must lie along its axis."""
+    half_round: Literal["thicker", "all", "none"] = "thicker"
+    """Lines of which radii pass with less, where their points spread across as on the visible half
+    of a beam, however short. thicker: of several radii all but the smallest, so that points of
+    short thick beams are not taken for thin ones; all, or none of them."""
     gap: Literal["longest_run", "reject"] = "longest_run"
     """longest_run: cut a line at its gaps and keep the longest run;
     reject: refuse a line that has a gap, as the report is written."""

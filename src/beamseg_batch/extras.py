@@ -13,6 +13,8 @@ __all__ = ["Open3DMissingError", "load_extra", "load_open3d"]
 class Open3DMissingError(BeamsegError, ImportError):
     """Open3D, or a system library that it needs, cannot be loaded."""
 
+    exit_code = 2
+
 
 def load_extra(module: str, purpose: str, extra: str = "export") -> Any:
     """Load a library of an optional extra.

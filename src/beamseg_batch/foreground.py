@@ -1,9 +1,13 @@
-"""Which returns of an organised cloud come from something thin that stands free."""
+"""Which returns of a cloud come from something thin that stands free."""
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
 
+import numpy as np
+from numpy.typing import NDArray
+
+from beamseg_batch.bearings import bearing_image
 from beamseg_batch.foreground_kernels import free_pixels
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import DepthNoise, Scan
@@ -36,20 +40,46 @@ def thin_foreground(
     Scan
         The same, where a return is not finite unless along a row, a column or a diagonal of
         the image the view goes on further back on both sides of it, within the width of a
-        beam. A scan that is not organised is returned as it is.
+        beam. A scan that is not organised is put into an image of bearings for that.
 
     Notes
     -----
     A beam nearer to a wall than 6 cm, or 5 standard deviations of the depth, is lost with
     the wall.
     """
-    if scan.height < 3 or scan.width < 3 or len(scan.points) != scan.width * scan.height:
+    if scan.height > 1 and len(scan.points) != scan.width * scan.height:
         return scan
+    limits = (_WIDEST * radius, reach, noise, floor)
+    if scan.height > 1:
+        free = _free(scan, *limits)
+    else:
+        image = bearing_image(scan.points)
+        seen = replace(scan, points=image.points, width=image.width, height=image.height)
+        depths, nearest = (np.linalg.norm(points, axis=1) for points in (scan.points, image.points))
+        there = image.cells >= 0
+        cells = image.cells[there]
+        free = np.zeros(len(scan.points), np.bool_)
+        # Behind a beam its cell may hold some of the wall.
+        free[there] = _free(seen, *limits)[cells] & (
+            depths[there] <= nearest[cells] + _LEAST_JUMP_M
+        )
+    kept = scan.points.copy()
+    kept[~free] = np.nan
+    kept.flags.writeable = False
+    return scan.with_points(kept)
+
+
+def _free(
+    scan: Scan, width: float, reach: float, noise: DepthNoise, floor: float
+) -> NDArray[np.bool_]:
+    """Pixels of an image that show something thin that stands free."""
+    if scan.height < 3 or scan.width < 3:
+        return np.ones(len(scan.points), np.bool_)
     points = np.asarray(scan.points, np.float64)
     depths = np.sqrt(np.einsum("ij,ij->i", points, points))
     pitch = _pitch(points.reshape(scan.height, scan.width, 3))
     if not pitch > 0.0:
-        return scan
+        return np.ones(len(scan.points), np.bool_)
     forward = np.where(np.isfinite(depths), points[:, 0], 0.0)
     jump = np.maximum(
         _LEAST_JUMP_M, _JUMP_SIGMAS * np.hypot(noise.constant, noise.relative * forward)
@@ -58,13 +88,9 @@ def thin_foreground(
         heights = points @ scan.T_world_sensor.rotation[2] + scan.T_world_sensor.translation[2]
         wanted = (depths > 0.0) & (depths < np.inf) & (forward <= reach) & (heights >= floor)
     shape = (scan.height, scan.width)
-    free = free_pixels(
-        depths.reshape(shape), wanted.reshape(shape), pitch, _WIDEST * radius, jump.reshape(shape)
-    )
-    kept = scan.points.copy()
-    kept[~free.ravel()] = np.nan
-    kept.flags.writeable = False
-    return scan.with_points(kept)
+    return free_pixels(
+        depths.reshape(shape), wanted.reshape(shape), pitch, width, jump.reshape(shape)
+    ).ravel()
 
 
 def _pitch(grid: FloatArray) -> float:

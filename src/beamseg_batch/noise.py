@@ -8,6 +8,7 @@ from itertools import islice
 
 import numpy as np
 
+from beamseg_batch.bearings import bearing_image
 from beamseg_batch.config import SensorConfig
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import DepthNoise, Scan
@@ -23,7 +24,8 @@ _FEWEST_A_BIN = 200
 _ENOUGH = 200_000  # samples
 _MIXED = 0.35  # share of steps with a depth in between: 0.6 with mixed pixels, up to 0.17 without
 _FEWEST_STEPS, _ENOUGH_STEPS, _MOST_SCANS = 100, 500, 200
-_PLANAR = 0.5  # metres: a larger second difference is an edge, whatever the noise
+_PLANAR = 0.5 / np.sqrt(6.0)  # metres: what is further off is an edge, whatever the noise
+_LEAST_SPREAD = 0.05  # determinant of a plane's normal equations against that of a regular ring
 
 
 def depth_noise(scans: Iterable[Scan], config: SensorConfig) -> DepthNoise:
@@ -51,7 +53,7 @@ def depth_noise(scans: Iterable[Scan], config: SensorConfig) -> DepthNoise:
 
 
 def measured_noise(scans: Iterable[Scan]) -> DepthNoise:
-    """Measure the noise on the flat parts of organised clouds.
+    """Measure the noise on the flat parts of clouds.
 
     Parameters
     ----------
@@ -61,32 +63,63 @@ def measured_noise(scans: Iterable[Scan]) -> DepthNoise:
     Returns
     -------
     DepthNoise
-        1 cm where the clouds are not organised or show nothing flat.
+        1 cm where the clouds show nothing flat.
 
     Notes
     -----
     On a plane the inverse of the forward depth is linear across the pixels of a row. The
     second difference of three neighbours, times the squared depth, is noise with the
     variance ``6 sigma**2``. What is not flat is left out by the median: the deviation
-    comes from the median of absolute values, renewed within two of itself.
+    comes from the median of absolute values, renewed within two of itself. In clouds that
+    are not organised the plane is that of the eight cells around one of an image of bearings.
     """
     depths, residuals, count = [], [], 0
     for scan in scans:
-        if scan.height < 3 or scan.width < 3 or len(scan.points) != scan.width * scan.height:
+        if scan.height > 1 and len(scan.points) != scan.width * scan.height:
             continue
-        x = np.asarray(scan.points[:, 0], np.float64).reshape(scan.height, scan.width)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            inverse = np.where(np.isfinite(x) & (x > 0.0), 1.0 / x, np.nan)
-            second = (inverse[:, :-2] - 2.0 * inverse[:, 1:-1] + inverse[:, 2:]) * x[:, 1:-1] ** 2
-        good = np.abs(second) < _PLANAR
-        depths.append(x[:, 1:-1][good])
-        residuals.append(second[good] / np.sqrt(6.0))
+        x, residual = _along_rows(scan) if scan.height > 1 else _among_cells(scan)
+        good = np.abs(residual) < _PLANAR
+        depths.append(x[good])
+        residuals.append(residual[good])
         count += int(good.sum())
         if count > _ENOUGH:
             break
     if count < _BINS * _FEWEST_A_BIN:
         return DEFAULT_NOISE
     return _fitted(np.concatenate(depths), np.concatenate(residuals))
+
+
+def _along_rows(scan: Scan) -> tuple[FloatArray, FloatArray]:
+    """Depths of the pixels of an image, and how far each lies off its neighbours in the row."""
+    x = np.asarray(scan.points[:, 0], np.float64).reshape(scan.height, scan.width)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = np.where(np.isfinite(x) & (x > 0.0), 1.0 / x, np.nan)
+        second = (inverse[:, :-2] - 2.0 * inverse[:, 1:-1] + inverse[:, 2:]) * x[:, 1:-1] ** 2
+    return x[:, 1:-1].ravel(), second.ravel() / np.sqrt(6.0)
+
+
+def _among_cells(scan: Scan) -> tuple[FloatArray, FloatArray]:
+    """Depths in an image of bearings, and how far each lies off the plane around it."""
+    image = bearing_image(scan.points, keep="middle")
+    if image.width < 3 or image.height < 3:
+        return np.empty(0), np.empty(0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scaled = image.points / np.where(image.points[:, :1] > 0.0, image.points[:, :1], np.nan)
+        scaled[:, 0] = 1.0 / image.points[:, 0]
+    cells = scaled.reshape(image.height, image.width, 3)
+    around = np.lib.stride_tricks.sliding_window_view(cells, (3, 3), axis=(0, 1))
+    around = np.moveaxis(around.reshape(-1, 3, 9), 1, 2)
+    around = around[np.isfinite(around).all(axis=(1, 2))]
+    middle, ring = around[:, 4], np.delete(around, 4, axis=1)
+    # The inverse depth as a plane over the bearing, seen from the middle.
+    design = np.concatenate([np.ones_like(ring[..., :1]), ring[..., 1:] - middle[:, None, 1:]], 2)
+    normal = np.einsum("nki,nkj->nij", design, design)
+    regular = np.prod(np.diagonal(normal, axis1=1, axis2=2), axis=1)
+    usable = np.linalg.det(normal) > _LEAST_SPREAD * regular
+    inverse = np.linalg.inv(normal[usable])[:, 0]
+    ring, middle, design = ring[usable], middle[usable, 0], design[usable]
+    expected = np.einsum("ni,nki,nk->n", inverse, design, ring[..., 0])
+    return 1.0 / middle, (middle - expected) / middle**2 / np.sqrt(1.0 + inverse[:, 0])
 
 
 def has_mixed_pixels(scans: Iterable[Scan], noise: DepthNoise) -> bool | None:

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Protocol
 
 import numpy as np
 
-from beamseg_batch.config import RunConfig
-from beamseg_batch.detection import DEFAULT_NOISE, Detector, Refusals, depth_noise
+from beamseg_batch.config import FilteringConfig, RefinementConfig, RunConfig
+from beamseg_batch.detection import (
+    DEFAULT_NOISE,
+    Detector,
+    Refusals,
+    check_outlier_filter,
+    depth_noise,
+)
 from beamseg_batch.errors import BeamsegError, NoScansError, WorkerError
 from beamseg_batch.foreground import thin_foreground
 from beamseg_batch.geometry import RigidTransform
@@ -22,6 +27,7 @@ from beamseg_batch.model import (
     DepthNoise,
     Detections,
     FlightResult,
+    RecordingInfo,
     Scan,
     ScanRecord,
     Segment,
@@ -31,6 +37,7 @@ from beamseg_batch.model import (
 from beamseg_batch.parallel import Workers
 from beamseg_batch.reasons import LEFTOVER
 from beamseg_batch.recording import Flight, Recording, open_flight
+from beamseg_batch.recording.survey import survey_flight
 from beamseg_batch.structure import (
     EvidenceStructure,
     LeftoverQuestion,
@@ -49,6 +56,10 @@ _SCANS_SENT = 5
 """Scans that are sent to a worker at a time in the first pass."""
 _END_GROUPS = 12
 """Parts of the flight that each tell where the ends are, by how far they differ how surely."""
+_LADDER = (0.1, 0.05, 0.03)
+"""Radii to begin with where none is configured, metres: near enough to any between and beyond."""
+_REHEARSED_SCANS, _REHEARSAL_PASSES, _REHEARSED_MEASUREMENTS = 120, 60, 10
+_MEASUREMENTS = 3  # of radii that a rehearsal told
 
 __all__ = ["Progress", "process_flight", "search_scans", "warm_up"]
 
@@ -110,6 +121,8 @@ def process_flight(
         If a value does not fit the first scan, or `jobs` is negative.
     WorkerError
         If a worker process ends before the first scan is done.
+    Open3DMissingError
+        If ``filtering.outliers`` asks for a filter that cannot be loaded.
 
     Notes
     -----
@@ -117,18 +130,25 @@ def process_flight(
     sorting, frame conversion, fusion, intersections; then what these make, joints and members.
     """
     progress = progress or _NobodyWatches()
+    check_outlier_filter(config.filtering)
     with Workers(jobs) as workers:
         flight = open_flight(recording, config)
+        if config.sensor.organise:
+            flight = flight.organised()
         warm_up(config)
-        noise = _noise(flight, config)
+        workers.start(warm_up, config)
+        noise, passes = _noise(flight, config), _passes(config)
+        rehearsal = _Rehearsal(flight, noise) if not config.filtering.radii else None
+        clouds = flight.n_clouds * (1 + passes)
+        progress.begin(clouds + (rehearsal.n_clouds if rehearsal else 0))
+        if rehearsal:
+            rehearsal.hold(workers, progress, should_stop)
+            config = rehearsal.outcome(config)
         detect = Detector(config, noise)
         sensor = SensorModel(noise, flight.jitter)
-        structure = _structure(config, sensor)
-        log = _FlightLog(config, noise)
-        passes = config.refinement.passes if isinstance(structure, EvidenceStructure) else 0
-        progress.begin(flight.n_clouds * (1 + passes))
+        structure = _structure(config, sensor, measurements=_MEASUREMENTS if rehearsal else 0)
+        log = _FlightLog(config, noise, rehearsal)
         try:
-            workers.start(warm_up, config)
             stopped = _detect(structure, detect, flight, workers, log, progress, should_stop)
             if isinstance(structure, EvidenceStructure) and not stopped:
                 _refine(structure, detect, flight, passes, workers, log, progress, should_stop)
@@ -140,13 +160,16 @@ def process_flight(
     return log.result(flight, structure, sensor)
 
 
-def search_scans(recording: Recording, config: RunConfig, *, jobs: int = 1) -> Iterator[Detections]:
-    """Search every scan of a flight, each by itself, as the first pass over it does.
+def search_scans(
+    recording: Recording, result: FlightResult, *, jobs: int = 1
+) -> Iterator[Detections]:
+    """Search every scan of a flight, each by itself, as the first pass over it did.
 
     Parameters
     ----------
     recording : Recording
-    config : RunConfig
+    result : FlightResult
+        What `process_flight` made of it.
     jobs : int, optional
         As in `process_flight`.
 
@@ -161,13 +184,105 @@ def search_scans(recording: Recording, config: RunConfig, *, jobs: int = 1) -> I
     RecordingError, ConfigError, WorkerError
         As `process_flight` does.
     """
+    config = result.config
+    if not config.filtering.radii:
+        config = _with_found_radii(config, [segment.radius for segment in result.segments])
     with Workers(jobs) as workers:
         flight = open_flight(recording, config)
+        if config.sensor.organise:
+            flight = flight.organised()
         detect = Detector(config, _noise(flight, config))
         workers.start(warm_up, config)
-        for scan, found in workers.map(_ScanSearch(detect), _usable(flight), _SCANS_SENT):
+        for scan, found in workers.map(_ScanSearch(detect), flight.usable(), _SCANS_SENT):
             if found is not None:
                 yield replace(found, scan=scan.with_points(scan.points[:0]))
+
+
+class _Rehearsal:
+    """A part of the flight processed with many radii, to learn which ones the beams have.
+
+    Parameters
+    ----------
+    flight : Flight
+        Its configuration says what is to be processed, and how.
+    noise : DepthNoise
+        Of its camera, when it was measured.
+    """
+
+    def __init__(self, flight: Flight, noise: DepthNoise) -> None:
+        self.asked = flight.config
+        self._part = flight.thinned(-(-flight.n_clouds // _REHEARSED_SCANS))
+        told = survey_flight(self._part).beam_radii()
+        beyond = [r for r in told if not 0.8 * min(_LADDER) < r < 1.25 * max(_LADDER)]
+        self._config = _rehearsed(flight.config, (*_LADDER, *beyond))
+        self._noise = (
+            noise
+            if flight.config.structure.fusion == "evidence"
+            else depth_noise(flight.usable(), flight.config.sensor)
+        )
+        self.n_scans = self._part.n_clouds
+        self.radii: tuple[float, ...] = ()
+
+    @property
+    def n_clouds(self) -> int:
+        """Clouds that are gone through, at most."""
+        return self.n_scans * (1 + _passes(self._config))
+
+    def hold(self, workers: Workers, progress: Progress, should_stop: Callable[[], bool]) -> None:
+        """Process the part."""
+        detect = Detector(self._config, self._noise)
+        structure = EvidenceStructure(
+            self._config, self._noise, measurements=_REHEARSED_MEASUREMENTS
+        )
+        log = _FlightLog(self._config, self._noise)
+        watched = (workers, log, progress, should_stop)
+        if not _detect(structure, detect, self._part, *watched):
+            _refine(structure, detect, self._part, _passes(self._config), *watched)
+        self.radii = structure.measured_radii
+
+    def outcome(self, config: RunConfig) -> RunConfig:
+        """Return a configuration with the radii that were found, else with the usual one."""
+        return _with_found_radii(config, self.radii)
+
+    @property
+    def told(self) -> str:
+        """What came of it, for people."""
+        where = f"in {self.n_scans} clouds of the flight"
+        if not self.radii:
+            usual = _millimetres(FilteringConfig().radii)
+            return f"no beam shows its radius {where}: beams of {usual} were looked for"
+        return f"beams {where} have the radii {_millimetres(self.radii)}, which were looked for"
+
+
+def _millimetres(radii: Sequence[float]) -> str:
+    return ", ".join(f"{1e3 * radius:.1f} mm" for radius in radii)
+
+
+def _rehearsed(config: RunConfig, radii: Sequence[float]) -> RunConfig:
+    """Return the configuration of a rehearsal: rays are asked, whatever the run does later."""
+    changes = {
+        "detection": {"axis": "cylinder"},
+        "structure": {"fusion": "evidence"},
+        "refinement": {**RefinementConfig().model_dump(), "passes": _REHEARSAL_PASSES},
+    }
+    changed = {
+        name: getattr(config, name).model_copy(update=update) for name, update in changes.items()
+    }
+    return _with_radii(config.model_copy(update=changed), radii)
+
+
+def _with_found_radii(config: RunConfig, radii: Sequence[float]) -> RunConfig:
+    """Return a configuration with the radii that were found, else with the usual one."""
+    return _with_radii(config, sorted(set(radii), reverse=True) or FilteringConfig().radii)
+
+
+def _with_radii(config: RunConfig, radii: Sequence[float]) -> RunConfig:
+    filtering = config.filtering.model_copy(update={"radii": tuple(radii)})
+    return config.model_copy(update={"filtering": filtering})
+
+
+def _passes(config: RunConfig) -> int:
+    return config.refinement.passes if config.structure.fusion == "evidence" else 0
 
 
 def _detect(
@@ -281,29 +396,23 @@ class _LeftoverSearch:
 
 def _batches(flight: Flight) -> Iterator[list[Scan]]:
     """So many scans at a time, whatever the number of processes: sums depend on it."""
-    scans = _usable(flight)
+    scans = flight.usable()
     while batch := list(islice(scans, _SCANS_A_BATCH)):
         yield batch
-
-
-def _usable(flight: Flight) -> Iterator[Scan]:
-    """Scans up to where the recording ends or is damaged, which the first pass tells."""
-    with suppress(BeamsegError):
-        for scan in flight.scans():
-            if isinstance(scan, Scan):
-                yield scan
 
 
 def _noise(flight: Flight, config: RunConfig) -> DepthNoise:
     """Noise of the depths, which is measured only where it is used."""
     if config.detection.axis == "centroid" and config.structure.fusion != "evidence":
         return DEFAULT_NOISE
-    return depth_noise(_usable(flight), config.sensor)
+    return depth_noise(flight.usable(), config.sensor)
 
 
-def _structure(config: RunConfig, sensor: SensorModel) -> Structure | EvidenceStructure:
+def _structure(
+    config: RunConfig, sensor: SensorModel, *, measurements: int = 0
+) -> Structure | EvidenceStructure:
     if config.structure.fusion == "evidence":
-        return EvidenceStructure(config, sensor.noise, sensor.jitter)
+        return EvidenceStructure(config, sensor.noise, sensor.jitter, measurements=measurements)
     return Structure(config)
 
 
@@ -355,8 +464,10 @@ def warm_up(like: RunConfig) -> None:
 class _FlightLog:
     """What is told of a flight beside its structure: scans, skips, times, the cloud."""
 
-    def __init__(self, config: RunConfig, noise: DepthNoise) -> None:
-        self.config = config
+    def __init__(
+        self, config: RunConfig, noise: DepthNoise, rehearsal: _Rehearsal | None = None
+    ) -> None:
+        self.config, self.rehearsal = config, rehearsal
         self.start = time.perf_counter()
         self.scans: list[ScanRecord] = []
         self.skipped: Counter[str] = Counter()
@@ -451,8 +562,8 @@ class _FlightLog:
             rejections=self.rejections + structure.rejections(),
             trajectory=flight.trajectory,
             cloud=self.cloud.points(),
-            recording=flight.info,
-            config=self.config,
+            recording=self._info(flight, segments),
+            config=self.rehearsal.asked if self.rehearsal else self.config,
             wall_s=time.perf_counter() - self.start,
             sensor=sensor,
             warnings=(
@@ -480,6 +591,15 @@ class _FlightLog:
             f"candidates.parquet leaves out {left_out} refused lines: it keeps those at "
             f"{MOST_LINES} places; they are counted all the same"
         ]
+
+    def _info(self, flight: Flight, segments: Sequence[Segment]) -> RecordingInfo:
+        """What was read, and what radii it was found to hold where none was configured."""
+        if self.rehearsal is None:
+            return flight.info
+        found = sorted({segment.radius for segment in segments}, reverse=True)
+        notes = [self.rehearsal.told]
+        notes += [f"the beams have the radii {_millimetres(found)}"] if found else []
+        return replace(flight.info, notes=(*flight.info.notes, *notes))
 
     def _skip_warnings(self) -> list[str]:
         if self.first_skip is None:

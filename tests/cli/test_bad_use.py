@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
@@ -413,3 +414,11 @@ def test_usage__is_explained(call, arguments):
 
 def test_usage__unknown_command_lists_the_commands(call):
     assert "no such command 'rn'; there are: run, info, config" in call("rn").stderr
+
+
+def test_run__filter_without_open3d(refused, flight, here, monkeypatch):
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    line = refused(USAGE, "run", flight, "-o", "out", "--set", "filtering.outliers=plane")
+    assert line.startswith("filtering.outliers: plane needs Open3D, which cannot be loaded")
+    assert "apt-get install" in line
+    assert not (here / "out").exists()

@@ -195,7 +195,7 @@ def test_stdout__reader_has_gone(arguments):
 
 def test_stdout__reader_of_a_run_has_gone(flight, here):
     _, errors = with_reader_gone("run", flight, "-o", "out", *LIGHT)
-    assert [line.split(" ", 2)[1] for line in errors.splitlines()] == ["reading", "the"]
+    assert [line.split(" ", 2)[1] for line in errors.splitlines()] == ["reading", "the", "the"]
     assert read_run(here / "out").summary["interrupted"] is False
 
 

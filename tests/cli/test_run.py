@@ -64,9 +64,10 @@ def test_run__sums_up_on_stdout_and_logs_on_stderr(ok, flight):
     ]
     assert "6 used, 0 skipped" in result.stdout
     assert "out/report.html" in result.stdout
-    reading, note = result.stderr.splitlines()
+    reading, note, rows = result.stderr.splitlines()
     assert reading == f"beamseg: reading {flight} (MCAP (ROS 2))"
     assert note.startswith("beamseg: the recording does not say where the camera sits")
+    assert rows.startswith("beamseg: the clouds have no rows and columns")
 
 
 def test_run__names_the_folder_when_there_is_no_report(ok, flight):

@@ -261,3 +261,19 @@ def test_detector__only_the_thick_beam_claims_its_points():
     one = detect(seen([beam]), "filtering.radii=[0.05]")
     two = detect(seen([beam]), "filtering.radii=[0.05, 0.04]")
     assert [s.radius for s in one.segments] == [s.radius for s in two.segments] == [0.05]
+
+
+def test_detector__of_several_radii_thick_beams_may_be_short():
+    stub = ([0.9, 0.0, 0.78], [0.9, 0.0, 1.22], 0.1)
+    scan = seen([stub])
+
+    def radii_found(half_round, radii):
+        found = detect(
+            scan, f"detection.screening.half_round={half_round}", f"filtering.radii={radii}"
+        )
+        return {segment.radius for segment in found.segments}
+
+    assert radii_found("thicker", [0.1, 0.05]) == {0.1}
+    assert 0.1 not in radii_found("none", [0.1, 0.05])
+    assert radii_found("thicker", [0.1]) == set()
+    assert radii_found("all", [0.1]) == {0.1}

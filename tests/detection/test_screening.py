@@ -287,3 +287,41 @@ def test_segment_from_points__beam_normal_to_x(direction):
     np.testing.assert_allclose(segment.end_1, points[0], atol=1e-12)
     np.testing.assert_allclose(segment.end_2, points[-1], atol=1e-12)
     assert isinstance(screen(points, direction, RADIUS, LEAF, 12, LITERAL), Segment)
+
+
+def half_cylinder(length, radius, count=400, seed=0, depth=1.0):
+    """Points of the half of a cylinder that is seen from far away, evenly by its width."""
+    rng = np.random.default_rng(seed)
+    along, side = rng.uniform(0, length, count), rng.uniform(-radius, radius, count)
+    towards = depth * np.sqrt(radius**2 - side**2) + rng.normal(0, 0.01, count)
+    return np.column_stack([along, side, towards])
+
+
+def passes(points, radius, half_round):
+    config = ScreeningConfig(half_round=half_round, radius_tolerance_factor=9.0)
+    return bool(screen(points, np.array([1.0, 0.0, 0.0]), radius, radius / 1.5, 12, config))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_screen__half_round_lets_short_thick_beams_pass(seed):
+    points = half_cylinder(0.4, 0.1, seed=seed)
+    assert not passes(points, 0.1, "none")
+    assert passes(points, 0.1, "all")
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_screen__half_round_refuses_other_shapes(seed):
+    rng = np.random.default_rng(seed)
+    thin = half_cylinder(0.4, 0.05, seed=seed)
+    flat = half_cylinder(0.4, 0.1, seed=seed, depth=0.0)
+    wide = half_cylinder(0.4, 0.115, seed=seed, depth=0.0)
+    clump = rng.normal(0.0, [0.1, 0.06, 0.06], (400, 3))
+    stub = half_cylinder(0.25, 0.1, seed=seed)
+    for points in (thin, flat, wide, clump, stub):
+        assert not passes(points, 0.1, "all")
+
+
+def test_screen__half_round_or_not_long_beams_pass():
+    points = half_cylinder(2.5, 0.1)
+    assert passes(points, 0.1, "none")
+    assert passes(points, 0.1, "all")

@@ -190,7 +190,7 @@ def _record(
     from beamseg_batch.pipeline import search_scans
     from beamseg_batch.replay import record_views
 
-    detections = search_scans(recording, result.config, jobs=jobs)
+    detections = search_scans(recording, result, jobs=jobs)
     record_views(result, detections, path, overwrite=overwrite)
 
 

@@ -8,10 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from beamseg_batch.config import RunConfig
+from beamseg_batch.config import RunConfig, ScreeningConfig
 from beamseg_batch.detection.axis import Returns, fit_segment_axis
 from beamseg_batch.detection.filtering import CroppedCloud, crop_scan, voxel_grid
 from beamseg_batch.detection.hough import iterative_hough
+from beamseg_batch.detection.outliers import without_outliers
 from beamseg_batch.detection.screening import Rejection, screen
 from beamseg_batch.foreground import thin_foreground
 from beamseg_batch.geometry import FloatArray, RigidTransform, distances_to_line, line_parameters
@@ -51,7 +52,7 @@ class Detector:
         """
         clock = _StageClock()
         cropped = crop_scan(scan, self.config.filtering)
-        candidates = self._foreground(scan, cropped)
+        candidates = without_outliers(self._foreground(scan, cropped), self.config.filtering)
         refusals = Refusals(keep=self.config.outputs.candidates)
         found: list[Segment] = []
         clouds: list[FloatArray] = []
@@ -137,10 +138,7 @@ class Detector:
         """
         hough = self.config.detection.hough
         leaf_size = self.config.filtering.leaf_size(radius)
-        screening = self.config.detection.screening
-        if pooled:
-            least = min(screening.min_pca_coeff, _POOLED_PCA)
-            screening = screening.model_copy(update={"min_pca_coeff": least})
+        screening = self._screening(radius, pooled)
         lines = iterative_hough(
             cloud,
             dx=hough.dx or self.config.filtering.diag_voxel(radius),
@@ -169,6 +167,16 @@ class Detector:
                 break
         clock.lap("search")
         return kept, num_lines
+
+    def _screening(self, radius: float, pooled: bool) -> ScreeningConfig:
+        """Criteria for lines of one radius."""
+        screening = self.config.detection.screening
+        changed: dict[str, object] = {}
+        if pooled:
+            changed["min_pca_coeff"] = min(screening.min_pca_coeff, _POOLED_PCA)
+        if screening.half_round == "thicker" and radius == min(self.config.filtering.radii):
+            changed["half_round"] = "none"  # nothing thinner could claim its points
+        return screening.model_copy(update=changed)
 
     def _unclaimed(self, points: FloatArray, segments: list[Segment]) -> FloatArray:
         """Points that belong to none of the segments (report, section 6.3).

@@ -30,6 +30,8 @@ REJECTION_REASONS: tuple[Reason, ...] = ("too_few_points", "wrong_radius", "gap"
 """The criteria, in the order in which they are asked; the detector adds the floor."""
 
 
+_HALF_ROUND = ((1.0, math.inf), (0.2, 0.4), (0.025, 0.2))
+"""Variances of a visible half cylinder, in squared radii: along it, by its width, by its depth."""
 _NO_LENGTH_M = 1e-9  # copies of one point have no direction
 
 
@@ -112,9 +114,20 @@ def screen(
         return Rejection("wrong_radius", abs(furthest - radius), tolerance, segment)
     if has_gap:
         return Rejection("gap", float(np.diff(np.sort(t)).max()), max_gap, segment)
-    if segment.pca_coeff < config.min_pca_coeff:
+    is_elongated = segment.pca_coeff >= config.min_pca_coeff
+    if not is_elongated and not (config.half_round != "none" and _is_half_round(segment)):
         return Rejection("low_pca_coeff", segment.pca_coeff, config.min_pca_coeff, segment)
     return segment
+
+
+def _is_half_round(segment: Segment) -> bool:
+    """Whether points spread as those on the visible half of a cylinder of the segment's radius.
+
+    By its width that is a variance of ``r**2 / 3``, and by its depth of a few hundredths of
+    ``r**2``: more than a flat face, less than a clump.
+    """
+    spread = segment.pca_eig / segment.radius**2
+    return all(low <= part <= high for part, (low, high) in zip(spread, _HALF_ROUND, strict=True))
 
 
 def segment_from_points(points: FloatArray, direction: FloatArray, radius: float) -> Segment:

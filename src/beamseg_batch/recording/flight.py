@@ -13,8 +13,9 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
+from beamseg_batch.bearings import PixelGrid, find_grid, in_order
 from beamseg_batch.config import RunConfig
-from beamseg_batch.errors import NoScansError, RecordingError
+from beamseg_batch.errors import BeamsegError, NoScansError, RecordingError
 from beamseg_batch.geometry import RigidTransform
 from beamseg_batch.model import PoseJitter, RecordingInfo, Scan, SkippedScan, Trajectory
 from beamseg_batch.recording.axes import (
@@ -92,6 +93,10 @@ class Flight:
         Which axis of the clouds looks ahead.
     notes : tuple of str
         Choices worth telling.
+    are_ordered : bool
+        Whether the points of clouds without rows are put in an order of their own.
+    grid : PixelGrid or None
+        Pixels into which they are put back, where these are known.
     """
 
     recording: Recording
@@ -105,6 +110,8 @@ class Flight:
     extrinsic: Extrinsic
     axis: AheadAxis
     notes: tuple[str, ...]
+    are_ordered: bool = False
+    grid: PixelGrid | None = None
 
     @cached_property
     def selection(self) -> Selection:
@@ -164,6 +171,41 @@ class Flight:
         fewer = recording.model_copy(update={"every": recording.every * max(every, 1)})
         return replace(self, config=self.config.model_copy(update={"recording": fewer}))
 
+    def usable(self) -> Iterator[Scan]:
+        """Scans up to where the recording ends or is damaged, without those that are skipped.
+
+        Yields
+        ------
+        Scan
+        """
+        with suppress(BeamsegError):
+            for scan in self.scans():
+                if isinstance(scan, Scan):
+                    yield scan
+
+    def organised(self) -> Flight:
+        """Return the same flight with clouds in rows and columns, where they came without.
+
+        Returns
+        -------
+        Flight
+            The same where clouds are images already. Where the points are on no grid, they are
+            put in order.
+        """
+        first = next(self.usable(), None)
+        if first is None or first.height > 1:
+            return self
+        sample = self.thinned(-(-self.n_clouds // _SAMPLED_CLOUDS))
+        grid = find_grid(scan.points for scan in sample.usable())
+        note = (
+            "the clouds have no rows and columns, and their points are on no grid: pixels without "
+            "return say nothing"
+            if grid is None
+            else "the clouds have no rows and columns: their points are put back into an image of "
+            f"{grid.width} x {grid.height} pixels"
+        )
+        return replace(self, are_ordered=True, grid=grid, notes=(*self.notes, note))
+
     def scans(self) -> Iterator[Scan | SkippedScan]:
         """Pair every selected cloud with its pose, in order of log time.
 
@@ -211,15 +253,21 @@ class Flight:
         if match.T_world_body is None:
             detail = self._gap_detail(match.gap_ns)
             return self._skipped(index, raw, stamp_ns, "no_pose_within_gap", detail)
+        points, width, height = _as_one_kind(cloud.points), cloud.width, cloud.height
+        if self.grid is not None and height == 1:
+            points = self.grid.image_of(points)
+            width, height = self.grid.width, self.grid.height
+        elif self.are_ordered and height == 1:
+            points = in_order(points)
         return Scan(
             index=index,
             stamp_ns=stamp_ns,
             pose_stamp_ns=match.stamp_ns,
             T_world_body=match.T_world_body,
             T_body_sensor=self.extrinsic.T_body_sensor,
-            points=_as_one_kind(cloud.points),
-            width=cloud.width,
-            height=cloud.height,
+            points=points,
+            width=width,
+            height=height,
             read_us=(perf_counter() - start) * 1e6,
             log_ns=raw.log_time_ns,
         )

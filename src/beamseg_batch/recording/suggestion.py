@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from beamseg_batch.config import RunConfig, SensorConfig
+from beamseg_batch.config import FilteringConfig, RunConfig, SensorConfig
 from beamseg_batch.model import DepthNoise, PoseJitter
 from beamseg_batch.noise import depth_noise
 from beamseg_batch.recording.flight import Flight, open_flight
@@ -44,7 +44,7 @@ def suggest_config(recording: Recording, config: RunConfig) -> str:
     TopicError, RecordingError
         What would stop a run.
     """
-    flight = open_flight(recording, config)
+    flight = open_flight(recording, config).organised()
     survey = survey_flight(flight)
     noise = depth_noise(surveyed_scans(flight), config.sensor)
     lines = [
@@ -161,7 +161,7 @@ def _filtering_lines(survey: Survey, noise: DepthNoise, config: RunConfig) -> It
     measured, known = survey.beam_radii(), config.filtering.radii
     chosen = list(dict.fromkeys(_candidate(radius, known) for radius in measured)) or list(known)
     yield "filtering:"
-    yield from _window_lines(survey, min(chosen))
+    yield from _window_lines(survey, min(chosen or FilteringConfig().radii))
     yield from _floor_lines(survey, noise)
     told = ", ".join(f"{1e3 * radius:.1f} mm" for radius in measured)
     why = (
@@ -169,12 +169,12 @@ def _filtering_lines(survey: Survey, noise: DepthNoise, config: RunConfig) -> It
         if told
         else "no width stands out"
     )
-    yield _line("radii", chosen, f"{why}; put the true ones")
+    yield _line("radii", chosen or "auto", f"{why}; put the true ones, or auto to measure them")
 
 
 def _candidate(measured: float, known: Sequence[float]) -> float:
     """Known radius that a measured one agrees with, else that one, rounded."""
-    nearest = min(known, key=lambda radius: abs(math.log(radius / measured)))
+    nearest = min(known, key=lambda radius: abs(math.log(radius / measured)), default=math.inf)
     return nearest if abs(nearest / measured - 1.0) <= _RADIUS_ERROR else _rounded(measured)
 
 

@@ -32,7 +32,7 @@ class SimulatedScan:
         From the start of the flight.
     points : (H, W, 3) float32, metres
         In the camera's axes, or the drone's if the extrinsic is applied; not finite
-        without return.
+        without return. (1, N, 3), returns only, of a camera that is not organised.
     T_world_sensor : RigidTransform
     """
 
@@ -167,4 +167,6 @@ def _points(depths: FloatArray, sensor: Sensor) -> NDArray[np.float32]:
         points = sensor.camera.grid.directions * depths[..., None]
         if sensor.extrinsic_in == "cloud":
             points = sensor.T_body_sensor.apply(points)
-        return points.astype(np.float32)
+    if not sensor.camera.organised:
+        points = points[np.isfinite(depths)][None]
+    return points.astype(np.float32)

@@ -62,6 +62,8 @@ class Camera(Node):
     """Rays that meet a surface at a smaller angle do not return, degrees."""
     dropout: Share = 0.0
     """Share of the returns that is lost by chance."""
+    organised: bool = True
+    """Whether clouds have rows and columns; else pixels without return are left out of them."""
     rate_hz: Positive = 5.0
     """Clouds a second."""
     stamp_jitter_s: NonNegative = 0.001

@@ -31,6 +31,7 @@ from beamseg_batch.structure.questions import (
     LeftoverQuestion,
     Leftovers,
 )
+from beamseg_batch.structure.radius_classes import radius_classes, reclassed
 from beamseg_batch.structure.radius_trial import RadiusTrial
 from beamseg_batch.structure.refinement import PassRules, refined
 
@@ -39,6 +40,8 @@ __all__ = ["EvidenceStructure"]
 _NO_JITTER = PoseJitter()
 _SETTLED_M = 0.005
 _MOST_SEARCHES = 3
+_FINE_MEASUREMENTS = 4  # the last ones, in which only beams count that know their radius well
+_EXACT_M = 1e-4
 _BEHIND = 0.8  # radii from the visible surface to the axis, on average
 
 
@@ -83,14 +86,24 @@ class EvidenceStructure:
     noise : DepthNoise
     jitter : PoseJitter, optional
         Of the poses of the scans.
+    measurements : int, optional
+        How often radii that beams measure replace the configured ones, at most: 0 where these
+        are known, a few where they are right but for millimetres, more where they are a guess.
     """
 
     def __init__(
-        self, config: RunConfig, noise: DepthNoise, jitter: PoseJitter = _NO_JITTER
+        self,
+        config: RunConfig,
+        noise: DepthNoise,
+        jitter: PoseJitter = _NO_JITTER,
+        *,
+        measurements: int = 0,
     ) -> None:
         self.config = config
         self._jitter = jitter
         self._stamps_ns: list[int] = []
+        self._radii = config.filtering.radii
+        self._measurements = measurements
         self._pixels = PixelRays()
         self._camera = Camera(config.filtering, noise, self._pixels)
         self._candidates = Candidates(self._camera.sigma)
@@ -173,7 +186,7 @@ class EvidenceStructure:
         if self._beams is None:
             beams = self._fates.numbered(beams, "scans")
         self._waiting = self._waiting[1:]
-        radii = self.config.filtering.radii
+        radii = self._radii
         self._beams = refined(
             beams, sums, self._camera.sigma, kind.rules, radii, self._scans_alike(), self._fates
         )
@@ -185,9 +198,25 @@ class EvidenceStructure:
             return True
         wanted = self.config.refinement.radii and len(radii) > 1
         if wanted and self._trial is None and self._beams:
-            self._trial = RadiusTrial(self._beams, radii)
+            self._trial = RadiusTrial(self._beams, self._radii)
             return True
-        return False
+        return self._have_new_classes()
+
+    def _have_new_classes(self) -> bool:
+        """Take the radii that the beams measure in place of those before; whether they differ."""
+        if not self._measurements or self._beams is None:
+            return False
+        radii = radius_classes(self._beams, rough=self._measurements > _FINE_MEASUREMENTS)
+        self._measurements -= 1
+        if not radii or _same(radii, self._radii):
+            return False
+        self._radii, self._beams = radii, reclassed(self._beams, radii)
+        return True
+
+    @property
+    def measured_radii(self) -> tuple[float, ...]:
+        """Radii that beams have in common, metres, from the largest on; none where none tells."""
+        return radius_classes(self._kept(self._hypothesis()))
 
     def _scans_alike(self) -> float:
         """Number of successive scans that share about the same error of their poses."""
@@ -296,6 +325,10 @@ class EvidenceStructure:
         if beam.length < structure.min_length:
             return Refusal("too_short", beam.length, structure.min_length)
         return None
+
+
+def _same(radii: Sequence[float], others: Sequence[float]) -> bool:
+    return len(radii) == len(others) and bool(np.allclose(radii, others, rtol=0.0, atol=_EXACT_M))
 
 
 def _have_moved(before: Sequence[Beam], after: Sequence[Beam]) -> bool:
