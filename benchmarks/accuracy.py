@@ -24,6 +24,8 @@ from benchmarks import rough_worlds as rough
 World = dict[str, Any]
 Random = np.random.Generator
 
+SHAPES = ("round", "square", "i", "l", "c")
+
 HONEST = ("offset", "angle", "radius", "ends", "member_ends", "bow")
 
 
@@ -171,9 +173,31 @@ def bows(rng: Random) -> World:
     return {"members": members, "flight": _round_trip(1.5, 2.6, [0.8, 1.6, 2.4])}
 
 
+def sections(rng: Random) -> World:
+    """Every cross-section that there is, of any size, turned at random: posts and rails."""
+    turns = 2.0 * np.pi * (np.arange(5) + rng.uniform(0.0, 0.3)) / 5
+    members = []
+    for shape, turn in zip(rng.permutation(SHAPES), turns, strict=True):
+        foot = np.array([0.55 * np.cos(turn), 0.55 * np.sin(turn), 0.45])
+        lean = [_between(rng, -0.1, 0.1), _between(rng, -0.1, 0.1), _between(rng, 1.3, 1.6)]
+        members.append({**_member(f"{shape} post", foot, foot + lean), **_section(rng, shape)})
+    for shape, height in zip(rng.permutation(SHAPES), (2.5, 2.85, 3.2, 3.55, 3.9), strict=True):
+        turn = rng.uniform(0.0, 2.0 * np.pi)
+        half = np.array([np.cos(turn), np.sin(turn), 0.1]) * rng.uniform(0.5, 0.8)
+        middle = np.array([0.0, 0.0, height])
+        ends = (middle - half, middle + half)
+        members.append({**_member(f"{shape} rail", *ends), **_section(rng, shape)})
+    return {"members": members, "flight": {**_spiral(1.35, 0.6, 4.0), "turns": 6}}
+
+
+def sections_voxl(rng: Random) -> World:
+    """The same, seen by a camera of more pixels that has the flaws of a real one."""
+    return {**sections(rng), "sensor": "voxl_tof"}
+
+
 FAMILIES: dict[Callable[[Random], World], int] = {
     bends: 0, stars: 1, crossings: 2, parallels: 3, truss: 4, tower: 5, ends_first: 6, thicket: 7,
-    bows: 8,
+    bows: 8, sections: 8, sections_voxl: 8,
     rough.clutters: 8, rough.clutters_4cm: 8, rough.clutters_voxl: 8, rough.thicket_cluttered: 8,
     rough.tower_cluttered: 8, rough.tower_voxl: 8, rough.radii_3: 8, rough.mixed: 8,
 }  # fmt: skip
@@ -197,7 +221,7 @@ def main() -> None:
     )
     for seed in arguments.seeds:
         for family in FAMILIES:
-            if arguments.only and family.__name__ not in arguments.only:
+            if family.__name__ not in arguments.only:
                 continue
             folder = arguments.output / f"{family.__name__}-{seed}"
             rows.append(measure(family, seed, folder, arguments))
@@ -243,12 +267,26 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--output", type=Path, required=True)
     parser.add_argument("--profile", default="precise")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
-    parser.add_argument("--only", type=lambda text: text.split(","), default=[])
+    usual = [family.__name__ for family in FAMILIES if family not in (sections, sections_voxl)]
+    parser.add_argument("--only", type=lambda text: text.split(","), default=usual)
     return parser.parse_args()
 
 
 def _between(rng: Random, low: float, high: float) -> float:
     return round(float(rng.uniform(low, high)), 3)
+
+
+def _section(rng: Random, shape: str) -> World:
+    """A section of sizes that beams about as thick as one of 0.05 m radius have."""
+    if shape == "round":
+        return {}
+    widths = {"square": (0.08, 0.11), "i": (0.08, 0.12), "l": (0.09, 0.12), "c": (0.05, 0.07)}
+    found: World = {"shape": shape, "width": _between(rng, *widths[shape]), "radius": None}
+    found["height"] = found["width"] if shape == "square" else _between(rng, 0.09, 0.14)
+    found |= {"web": _between(rng, 0.005, 0.01), "flange": _between(rng, 0.007, 0.012)}
+    if shape == "l":  # rolled with legs of one thickness
+        found["web"] = found["flange"]
+    return {**found, "roll_deg": _between(rng, 0.0, 360.0)}
 
 
 def _member(name: str, start: Any, end: Any) -> World:

@@ -55,6 +55,7 @@ __all__ = [
     "RunConfig",
     "ScreeningConfig",
     "SensorConfig",
+    "ShapeConfig",
     "StructureConfig",
     "ThresholdConfig",
     "WindowConfig",
@@ -302,6 +303,15 @@ class IntersectionConfig(Node):
     """How far beyond an end a crossing still counts, metres."""
 
 
+class ShapeConfig(Node):
+    """Cross-sections other than round, with structure.fusion: evidence."""
+
+    enabled: bool = True
+    """Whether every beam is asked for its cross-section, when all else has settled."""
+    catalogue: str | None = None
+    """CSV file of standard sizes, millimetres; null: the shipped one, of European sections."""
+
+
 class StructureConfig(Node):
     """From segments to the structure of the flight."""
 
@@ -319,6 +329,7 @@ class StructureConfig(Node):
     min_length: NonNegative = 0.3
     """Shorter segments are left out of the result, metres."""
     intersections: IntersectionConfig = IntersectionConfig()
+    shapes: ShapeConfig = ShapeConfig()
 
 
 class RefinementConfig(Node):

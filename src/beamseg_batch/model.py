@@ -17,12 +17,14 @@ from numpy.typing import NDArray
 
 from beamseg_batch.config import RunConfig
 from beamseg_batch.geometry import FloatArray, RigidTransform, covariance_along, parabola
+from beamseg_batch.section import Section
 
 __all__ = [
     "BENT_M",
     "BENT_SIGMAS",
     "STAGES",
     "Candidate",
+    "CrossSection",
     "DepthNoise",
     "Detections",
     "FlightResult",
@@ -38,6 +40,7 @@ __all__ = [
     "SensorModel",
     "SkippedScan",
     "Trajectory",
+    "across_of",
 ]
 
 STAGES = ("read", "filter", "search", "screen", "fuse")
@@ -217,6 +220,71 @@ BENT_M, BENT_SIGMAS = 0.002, 5.0
 
 
 @dataclass(frozen=True, eq=False)
+class CrossSection:
+    """Cross-section of a beam, as far as its rays decide.
+
+    Attributes
+    ----------
+    shape : str
+        One of `beamseg_batch.section.SHAPES`, or ``unknown``.
+    size : Section or None
+        None where the shape is round or unknown.
+    across : (3,) float64, unit vector
+        Along the section's width; NaN without a size.
+    name : str
+        Of the standard size that it has; empty if none.
+    confidence : float, 0 to 1
+        That no other shape is the likelier one; NaN where none had to be tried.
+    """
+
+    shape: str = "round"
+    size: Section | None = None
+    across: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    name: str = ""
+    confidence: float = np.nan
+
+    def roll_deg(self, direction: FloatArray) -> float:
+        """Turn of the section about an axis, degrees from 0 to 360.
+
+        Parameters
+        ----------
+        direction : (3,) float64, unit vector
+
+        Returns
+        -------
+        float
+            From the horizontal, or on a vertical axis from the world's x; NaN without a size.
+        """
+        u, v = _unrolled(direction)
+        return float(np.degrees(np.arctan2(self.across @ v, self.across @ u)) % 360.0)
+
+
+def across_of(roll_deg: float, direction: FloatArray) -> FloatArray:
+    """Direction of a section's width, from its turn about the axis; see `CrossSection`.
+
+    Parameters
+    ----------
+    roll_deg : float, degrees
+    direction : (3,) float64, unit vector
+
+    Returns
+    -------
+    (3,) float64, unit vector
+    """
+    u, v = _unrolled(direction)
+    roll = np.radians(roll_deg)
+    across: FloatArray = np.cos(roll) * u + np.sin(roll) * v
+    return across
+
+
+def _unrolled(direction: FloatArray) -> tuple[FloatArray, FloatArray]:
+    flat = np.array([-direction[1], direction[0], 0.0])
+    length = float(np.linalg.norm(flat))
+    u = np.array([1.0, 0.0, 0.0]) if length < 1e-9 else flat / length
+    return u, np.cross(direction, u)
+
+
+@dataclass(frozen=True, eq=False)
 class Segment:
     """A beam as the report models it (section 3.1).
 
@@ -257,6 +325,9 @@ class Segment:
         does so most: halfway; NaN where it is not known.
     sigma_bow : float, metres
         Standard deviation of its length; NaN where it is not known.
+    cross_section : CrossSection
+        If it is not round, the axis runs through its centre of area, and the radius is that of
+        the cylinder by which the beam was found.
     """
 
     anchor: FloatArray
@@ -278,6 +349,7 @@ class Segment:
     ends_seen: tuple[bool, bool] | None = None
     bow_vector: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
     sigma_bow: float = np.nan
+    cross_section: CrossSection = field(default_factory=CrossSection)
 
     @property
     def bow(self) -> float:
@@ -450,7 +522,7 @@ class Candidate:
     in_pass : int or None
         The pass over the rays that decided, from 1.
     origin : str
-        ``scans``, ``leftovers`` or ``split``.
+        ``scans``, ``leftovers``, ``split``, or ``refused`` as a round beam.
     parent : int or None
         The candidate that it was split from.
     end_1, end_2 : (3,) float64, metres, world frame

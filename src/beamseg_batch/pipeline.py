@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from beamseg_batch.config import FilteringConfig, RefinementConfig, RunConfig
+from beamseg_batch.config import FilteringConfig, RefinementConfig, RunConfig, ShapeConfig
 from beamseg_batch.detection import (
     DEFAULT_NOISE,
     Detector,
@@ -42,12 +42,14 @@ from beamseg_batch.structure import (
     EvidenceStructure,
     LeftoverQuestion,
     Leftovers,
+    NearRays,
     RefusedLines,
     Structure,
     ThinnedCloud,
     intersections_of,
     joints_of,
     members_of,
+    warm_up_sections,
 )
 from beamseg_batch.structure.fates import MOST_LINES
 
@@ -262,7 +264,7 @@ def _rehearsed(config: RunConfig, radii: Sequence[float]) -> RunConfig:
     """Return the configuration of a rehearsal: rays are asked, whatever the run does later."""
     changes = {
         "detection": {"axis": "cylinder"},
-        "structure": {"fusion": "evidence"},
+        "structure": {"fusion": "evidence", "shapes": ShapeConfig(enabled=False)},
         "refinement": {**RefinementConfig().model_dump(), "passes": _REHEARSAL_PASSES},
     }
     changed = {
@@ -354,13 +356,24 @@ def _refine(
         if should_stop():
             log.stop(f"interrupted after pass {number + 1} of {passes} over the rays")
             return
-    if passes and flight.config.refinement.ends:
+    if passes and structure.config.refinement.ends:
         ends = structure.end_question()
         likelihood = np.stack([ends.sums()] * _END_GROUPS)
         answers = workers.map(ends.ask, _batches(flight))
         for number, (_, answered) in enumerate(answers):
             likelihood[number % _END_GROUPS] += answered
         structure.set_ends(likelihood)
+    if passes and structure.config.structure.shapes.enabled:
+        _find_sections(structure, flight, workers)
+
+
+def _find_sections(structure: EvidenceStructure, flight: Flight, workers: Workers) -> None:
+    """Ask the rays near each beam for its cross-section."""
+    question, near = structure.section_question(), NearRays()
+    for _, samples in workers.map(question.ask, _batches(flight)):
+        near.add(samples)
+    found = workers.map(structure.section_trial(), structure.beams_with(near))
+    structure.set_sections([beam for _, beam in found])
 
 
 def _search_leftovers(
@@ -455,6 +468,8 @@ def warm_up(like: RunConfig) -> None:
             structure.renew(sums)
         structure.set_ends(structure.end_question().ask([scan])[None])
         structure.leftover_question().ask([scan])
+        structure.section_question().ask([scan])
+        warm_up_sections()
     if like.filtering.foreground == "thin":
         thin_foreground(replace(scan, width=16, height=10), 0.05, 1.5, DEFAULT_NOISE)
     intersections_of(detections.segments, config.structure.intersections)

@@ -177,6 +177,13 @@ _CANDIDATES = (
         "refinement.bow",
     ),
     Reason(
+        "section_part",
+        "candidates",
+        "part of another's cross-section",
+        "lies in the cross-section of {other}, or goes on with it",
+        "structure.shapes.enabled",
+    ),
+    Reason(
         "collision",
         "candidates",
         "inside another",

@@ -374,7 +374,35 @@ SEGMENTS = Table(
         _metres("x2", "Second end, x"),
         _metres("y2", "Second end, y"),
         _metres("z2", "Second end, z"),
-        Column("shape", "", "Cross-section: `round`", kind="text"),
+        Column(
+            "shape",
+            "",
+            "Cross-section: `round`, `square` (a tube, also oblong), `i`, `l` (angle), `c` "
+            "(channel), or `unknown`: not round, but nothing else for sure. If it is neither round "
+            "nor unknown, the axis runs through its centre of area, and `radius` is that of the "
+            "cylinder by which the beam was found",
+            kind="text",
+        ),
+        Column("section", "", "Standard size of the section; empty if it has none", kind="text"),
+        Column(
+            "section_confidence",
+            "",
+            "Probability that no other shape is the likelier one, 0 to 1; empty where none had to "
+            "be tried",
+        ),
+        _metres(
+            "width",
+            "Extent of the section along its own u; this and the next four are empty where the "
+            "shape is round or unknown",
+        ),
+        _metres("height", "Extent of the section along its own v"),
+        _metres("web", "Thickness of its parts along v; empty for a tube"),
+        _metres("flange", "Thickness of its parts along u; empty for a tube"),
+        Column(
+            "roll_deg",
+            "°",
+            "Turn of u about the axis, from the horizontal; from the world's x if that is vertical",
+        ),
         _count(
             "n_points",
             "Filtered points that support the beam, over all scans; rays that it alone explains, "
@@ -479,7 +507,7 @@ MEMBERS = Table(
         _metres("y2", "Where it ends, y"),
         _metres("z2", "Where it ends, z"),
         _metres("radius", "Radius of the beam"),
-        Column("shape", "", "Cross-section of the beam: `round`", kind="text"),
+        Column("shape", "", "Cross-section of the beam", kind="text"),
     ),
     deterministic=True,
 )
@@ -523,7 +551,12 @@ CANDIDATES = Table(
         ),
         _number("pass", "The pass over the rays that decided, from 1; null at other stages"),
         _number("candidate", "Number of the candidate; null for what was never asked about"),
-        Column("origin", "", "Where it came from: `scans`, `leftovers` or `split`", kind="text"),
+        Column(
+            "origin",
+            "",
+            "Where it came from: `scans`, `leftovers`, `split`, or `refused` as a round beam",
+            kind="text",
+        ),
         _number("parent", "The candidate that it was split from"),
         _metres("x1", "First end, x"),
         _metres("y1", "First end, y"),

@@ -16,7 +16,20 @@ from beamseg_batch.accelerate import kernel
 from beamseg_batch.cylinder.ray_kernels import enter_cylinder, finite_depth
 from beamseg_batch.geometry import FloatArray
 
-__all__ = ["Cylinders", "Meetings", "View", "forget", "local_axis", "meet", "rivals"]
+__all__ = [
+    "Cylinders",
+    "Meetings",
+    "View",
+    "counts_at",
+    "forget",
+    "in_reach",
+    "local_axis",
+    "meet",
+    "pixel_box",
+    "ray_noise",
+    "rivals",
+    "sights",
+]
 
 _FLANK = 1.35  # radii from the axis at which a beam's surroundings begin
 _FLANK_FROM, _FLANK_TO = 0.01, 0.06  # and where they are looked at, metres further
@@ -148,7 +161,21 @@ def _look(view: View, sight: FloatArray, k: int) -> None:
 
 
 @kernel
-def _pixels(
+def sights(view: View, sight: FloatArray) -> None:
+    """Note the direction of each ray, and how far it went.
+
+    Parameters
+    ----------
+    view : View
+    sight : (R, 4) float64
+        Filled, as of `Meetings`.
+    """
+    for k in range(len(view.points)):
+        _look(view, sight, k)
+
+
+@kernel
+def pixel_box(
     a: FloatArray,
     b: FloatArray,
     begin: float,
@@ -291,7 +318,7 @@ def _deepest(beams: Cylinders, j: int) -> float:
 
 
 @kernel
-def _in_reach(
+def in_reach(
     a: FloatArray, b: FloatArray, begin: float, end: float, radius: float, reach: float
 ) -> bool:
     """Whether a stretch of a beam comes as near as the window reaches."""
@@ -304,7 +331,7 @@ def _in_reach(
 
 
 @kernel
-def _counts(view: View, x: float, y: float, z: float) -> bool:
+def counts_at(view: View, x: float, y: float, z: float) -> bool:
     """Whether a place lies in the window and above the floor."""
     low, high, up = view.low, view.high, view.up
     inside: bool = (
@@ -317,7 +344,7 @@ def _counts(view: View, x: float, y: float, z: float) -> bool:
 
 
 @kernel
-def _depth_noise(view: View, x: float, wx: float) -> float:
+def ray_noise(view: View, x: float, wx: float) -> float:
     """Noise of a depth along its ray, from that of the forward depth ``x``."""
     relative = view.noise_relative * x
     return float(np.sqrt(view.noise * view.noise + relative * relative) / wx)
@@ -362,8 +389,7 @@ def meet(view: View, beams: Cylinders, meetings: Meetings, flanks: bool) -> int:
     residual, nearest = meetings.residual, meetings.nearest
     num_rays, width = len(view.points), view.width
     if width == 0:
-        for k in range(num_rays):
-            _look(view, sight, k)
+        sights(view, sight)
     used, touched = 0, 0
     for j in range(len(beams.anchors)):
         a, b, radius = beams.anchors[j], beams.directions[j], beams.radii[j]
@@ -372,13 +398,13 @@ def meet(view: View, beams: Cylinders, meetings: Meetings, flanks: bool) -> int:
         bow = beams.bows[j]
         bent = bow[0] != 0.0 or bow[1] != 0.0 or bow[2] != 0.0
         deep = _deepest(beams, j) if bent else 0.0
-        if not _in_reach(a, b, begin, end, radius + deep, reach):
+        if not in_reach(a, b, begin, end, radius + deep, reach):
             continue
         inner = _FLANK * radius + _FLANK_FROM
         outer = _FLANK * radius + _FLANK_TO if flanks else radius
         row_first, row_last, column_first, column_last = 0, 1, 0, num_rays
         if width > 0:
-            row_first, row_last, column_first, column_last = _pixels(
+            row_first, row_last, column_first, column_last = pixel_box(
                 a, b, begin, end, outer + deep, width, num_rays // width, view.image
             )
         tangent_1, tangent_2 = _tangents(a, b, outer + deep)
@@ -434,9 +460,9 @@ def meet(view: View, beams: Cylinders, meetings: Meetings, flanks: bool) -> int:
                         mixed * mixed > inner * inner * across
                         and middle > 0.0
                         and first <= s <= last
-                        and _counts(view, x, y, z)
+                        and counts_at(view, x, y, z)
                     ):
-                        sigma = _depth_noise(view, x, wx)
+                        sigma = ray_noise(view, x, wx)
                         who[used], along[used], side[used] = j, s, 2.0 if mixed > 0.0 else -2.0
                         entries[used], sigmas[used], nearest[used] = middle, sigma, np.inf
                         residual[used] = (depth - middle) / sigma
@@ -448,9 +474,9 @@ def meet(view: View, beams: Cylinders, meetings: Meetings, flanks: bool) -> int:
                 )
                 s = from_s + at / stretch
                 x, y, z = entry * wx, entry * wy, entry * wz
-                if not (entry > 0.0 and begin <= s < end and _counts(view, x, y, z)):
+                if not (entry > 0.0 and begin <= s < end and counts_at(view, x, y, z)):
                     continue
-                sigma = _depth_noise(view, x, wx)
+                sigma = ray_noise(view, x, wx)
                 who[used], along[used], side[used] = j, s, lateral / radius
                 entries[used], sigmas[used] = entry, sigma
                 residual[used] = (depth - entry) / sigma

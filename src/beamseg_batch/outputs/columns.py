@@ -10,13 +10,16 @@ from beamseg_batch.geometry import FloatArray, line_parameters
 from beamseg_batch.model import (
     STAGES,
     Candidate,
+    CrossSection,
     FlightResult,
     Intersection,
     Joint,
     Member,
     ScanRecord,
     Segment,
+    across_of,
 )
+from beamseg_batch.section import SHAPES, Section
 from beamseg_batch.tables import ColumnArrays
 
 __all__ = [
@@ -35,6 +38,7 @@ __all__ = [
 
 _CLOCK_SLACK_NS = 60 * 10**9
 _BOW = ("bow_x", "bow_y", "bow_z")
+_SIZES = ("width", "height", "web", "flange")
 _SEPARATOR = ";"  # between the numbers of a joint's beams
 
 
@@ -94,7 +98,7 @@ def segment_columns(segments: Sequence[Segment], origin_ns: int) -> ColumnArrays
     columns |= _vectors(("x1", "y1", "z1"), [s.end_1 for s in segments])
     columns |= _vectors(("x2", "y2", "z2"), [s.end_2 for s in segments])
     columns |= _vectors(_BOW, [s.bow_vector for s in segments])
-    columns["shape"] = np.full(len(segments), "round", dtype=object)
+    columns |= _section_columns(segments)
     columns["n_points"] = np.array([s.n_points for s in segments], dtype=np.int64)
     columns["n_scans"] = np.array([s.n_scans for s in segments], dtype=np.int64)
     columns |= _vectors(("pca_eig_0", "pca_eig_1", "pca_eig_2"), [s.pca_eig for s in segments])
@@ -180,7 +184,7 @@ def member_columns(members: Sequence[Member], segments: Sequence[Segment]) -> Co
         "joint_1": _numbers([member.joint_1 for member in members]),
         "joint_2": _numbers([member.joint_2 for member in members]),
         "radius": np.array([beam.radius for beam in beams], dtype=np.float64),
-        "shape": np.full(len(members), "round", dtype=object),
+        "shape": np.array([beam.cross_section.shape for beam in beams], dtype=object),
     }
     columns |= _vectors(("x1", "y1", "z1"), [one for one, _ in ends])
     return columns | _vectors(("x2", "y2", "z2"), [other for _, other in ends])
@@ -291,6 +295,7 @@ def segments_from_columns(
             ends_seen=_both(columns["end_1_seen"][i], columns["end_2_seen"][i]),
             bow_vector=bows[i],
             sigma_bow=float(columns["sigma_bow"][i]),
+            cross_section=_cross_section(columns, i, directions[i]),
         )
         for i in range(len(anchors))
     )
@@ -383,6 +388,33 @@ def members_from_columns(columns: ColumnArrays) -> tuple[Member, ...]:
             joint_2=_index(columns["joint_2"][i]),
         )
         for i in range(len(columns["member"]))
+    )
+
+
+def _section_columns(segments: Sequence[Segment]) -> ColumnArrays:
+    sections = [segment.cross_section for segment in segments]
+    columns: ColumnArrays = {
+        "shape": np.array([section.shape for section in sections], dtype=object),
+        "section": np.array([section.name for section in sections], dtype=object),
+        "section_confidence": np.array([s.confidence for s in sections], np.float64),
+        "roll_deg": np.array([s.cross_section.roll_deg(s.direction) for s in segments], np.float64),
+    }
+    for name in _SIZES:
+        sizes = [getattr(section.size, name, 0.0) or np.nan for section in sections]
+        columns[name] = np.array(sizes, dtype=np.float64)
+    return columns
+
+
+def _cross_section(columns: ColumnArrays, row: int, direction: FloatArray) -> CrossSection:
+    shape = str(columns["shape"][row])
+    known = next((kind for kind in SHAPES if kind == shape and kind != "round"), None)
+    sizes = [float(np.nan_to_num(columns[name][row])) for name in _SIZES]
+    return CrossSection(
+        shape,
+        Section(known, *sizes) if known else None,
+        across_of(float(columns["roll_deg"][row]), direction),
+        str(columns["section"][row]),
+        float(columns["section_confidence"][row]),
     )
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
+from beamseg_batch.catalogue import load_catalogue
 from beamseg_batch.config import RunConfig
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import (
@@ -23,6 +25,7 @@ from beamseg_batch.structure.ends import with_measured_ends
 from beamseg_batch.structure.fates import Fates, Refusal
 from beamseg_batch.structure.hypothesis import Beam, Sums
 from beamseg_batch.structure.intersections import intersections_of
+from beamseg_batch.structure.neighbours import Neighbours
 from beamseg_batch.structure.pixel_rays import PixelRays
 from beamseg_batch.structure.questions import (
     AxisQuestion,
@@ -33,7 +36,9 @@ from beamseg_batch.structure.questions import (
 )
 from beamseg_batch.structure.radius_classes import radius_classes, reclassed
 from beamseg_batch.structure.radius_trial import RadiusTrial
-from beamseg_batch.structure.refinement import PassRules, refined
+from beamseg_batch.structure.refinement import PassRules, refined, side_by_side
+from beamseg_batch.structure.section_question import NearRays, SectionQuestion, reach_around
+from beamseg_batch.structure.sections import SectionTrial, without_parts
 
 __all__ = ["EvidenceStructure"]
 
@@ -42,6 +47,7 @@ _SETTLED_M = 0.005
 _MOST_SEARCHES = 3
 _FINE_MEASUREMENTS = 4  # the last ones, in which only beams count that know their radius well
 _EXACT_M = 1e-4
+_LEAST_ASIDE, _LEAST_ASIDE_M, _MOST_ASIDE = 600.0, 0.3, 12
 _BEHIND = 0.8  # radii from the visible surface to the axis, on average
 
 
@@ -115,6 +121,13 @@ class EvidenceStructure:
         self._trial: RadiusTrial | None = None
         self._closely = False
         self._fates = Fates(keep=config.outputs.candidates)
+        self._aside: list[Beam] = []
+        shapes = config.structure.shapes
+        self._catalogue = (
+            load_catalogue(Path(shapes.catalogue) if shapes.catalogue else None)
+            if shapes.enabled
+            else ()
+        )
 
     def __len__(self) -> int:
         return len(self._candidates) if self._beams is None else len(self._beams)
@@ -190,6 +203,7 @@ class EvidenceStructure:
         self._beams = refined(
             beams, sums, self._camera.sigma, kind.rules, radii, self._scans_alike(), self._fates
         )
+        self._put_aside(beams, self._beams)
         if self._waiting or self.wants_leftovers or _have_moved(beams, self._beams):
             return True
         if not self._closely and self._camera.stride > 1:
@@ -275,6 +289,55 @@ class EvidenceStructure:
             What the rays of each part of the flight answered to `end_question`.
         """
         self._beams = with_measured_ends(self._hypothesis(), likelihood, self._camera.pixel_m)
+
+    def section_question(self) -> SectionQuestion:
+        """Return which rays pass near the beams, and near those that may be no round ones."""
+        standing = self._hypothesis()
+        return SectionQuestion([*standing, *self._doubtful()], self._camera, len(standing))
+
+    def section_trial(self) -> SectionTrial:
+        """Return what finds the section of one beam."""
+        reach = reach_around(self._hypothesis())
+        return SectionTrial(reach, self._camera.background, self._catalogue)
+
+    def beams_with(self, near: NearRays) -> Iterator[tuple[Beam, FloatArray]]:
+        """Beams that `section_question` asked about, each with the rays near it."""
+        asked = enumerate([*self._hypothesis(), *self._doubtful()])
+        return ((beam, near.of(index)) for index, beam in asked)
+
+    def set_sections(self, beams: Sequence[Beam]) -> None:
+        """Take in the beams that `section_trial` found, in the order of `beams_with`."""
+        standing = len(self._hypothesis())
+        found = [beam for beam in beams[standing:] if beam.cross_section.size is not None]
+        found = [*beams[:standing], *self._fates.numbered(found, "refused")]
+        left = without_parts(found)
+        for beam in found:
+            self._fates.note(beam, Refusal("section_part"))
+        self._beams = self._fates.settled(found, left, side_by_side)
+
+    def _put_aside(self, before: Sequence[Beam], after: Sequence[Beam]) -> None:
+        """Keep those of the beams that are gone for which much speaks, if not as round ones."""
+        if self.config.structure.shapes.enabled:
+            least = max(self.config.structure.min_length, _LEAST_ASIDE_M)
+            left = Neighbours(after)
+            self._aside += [
+                beam
+                for beam in before
+                if beam.score > _LEAST_ASIDE
+                and beam.length > least
+                and not any(side_by_side(beam, left.beams[k]) for k in left.near(beam))
+            ]
+
+    def _doubtful(self) -> list[Beam]:
+        """Those of them where no beam was found since, the likeliest of each place."""
+        known = Neighbours(self._hypothesis())
+        standing = len(known.beams)
+        for beam in sorted(self._aside, key=lambda one: -one.score):
+            if len(known.beams) == standing + _MOST_ASIDE:
+                break
+            if not any(side_by_side(beam, known.beams[k]) for k in known.near(beam)):
+                known.append(beam)
+        return known.beams[standing:]
 
     def _hypothesis(self) -> list[Beam]:
         if self._beams is None:
@@ -365,4 +428,5 @@ def _segment(beam: Beam) -> Segment:
         ends_seen=beam.ends_seen,
         bow_vector=beam.measured_bow,
         sigma_bow=beam.sigma_bow,
+        cross_section=beam.cross_section,
     )

@@ -37,7 +37,7 @@ FEWEST_BESIDE = 20.0
 MOST_LINES = 20_000
 """Places at which refused lines are kept: memory stays bounded, however long the flight."""
 
-_MERGED = {"bent", "duplicate", "merged"}
+_MERGED = {"bent", "duplicate", "merged", "section_part"}
 _OF_EVIDENCE = {"no_evidence", "low_score", "low_share"}
 _THROUGH = 4.0  # what a ray that saw through takes from the log-likelihood ratio
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from beamseg_batch.cylinder.evidence_kernels import COARSE, FINE, NORMAL_COLUMNS, Evidence
 from beamseg_batch.cylinder.ray_kernels import perpendiculars
 from beamseg_batch.geometry import FloatArray, covariance_along, parabola
+from beamseg_batch.model import CrossSection
 
 __all__ = ["Answer", "Beam", "Sums", "normal_matrices", "normal_matrix"]
 
@@ -83,6 +84,7 @@ class Beam:
     profile_start : float
     number : int
         Its name among the candidates, the same from pass to pass; -1 where they have none.
+    cross_section : CrossSection
     """
 
     anchor: FloatArray
@@ -111,6 +113,7 @@ class Beam:
     profile: FloatArray = field(default_factory=lambda: np.zeros(0))
     profile_start: float = 0.0
     number: int = -1
+    cross_section: CrossSection = field(default_factory=CrossSection)
 
     @property
     def normals(self) -> tuple[FloatArray, FloatArray]:

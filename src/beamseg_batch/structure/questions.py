@@ -24,7 +24,15 @@ from beamseg_batch.model import DepthNoise, Scan
 from beamseg_batch.structure.hypothesis import Answer, Beam, Sums
 from beamseg_batch.structure.pixel_rays import PixelRays
 
-__all__ = ["END_PLACES", "AxisQuestion", "Camera", "EndQuestion", "LeftoverQuestion", "Leftovers"]
+__all__ = [
+    "END_PLACES",
+    "AxisQuestion",
+    "Beams",
+    "Camera",
+    "EndQuestion",
+    "LeftoverQuestion",
+    "Leftovers",
+]
 
 END_PLACES: FloatArray = np.arange(-20.0, 21.0) * 0.002
 """Where an end may be, metres from where it was."""
@@ -99,7 +107,7 @@ def _thinned(pixels: NDArray[Any], width: int, stride: int) -> NDArray[Any]:
     return pixels.reshape(-1, width, 3)[::stride, ::stride].reshape(-1, 3)
 
 
-class _Beams:
+class Beams:
     """Arrays of a hypothesis, in the world frame, and who competes with whom."""
 
     def __init__(self, beams: Sequence[Beam], competitors: str) -> None:
@@ -161,7 +169,7 @@ class AxisQuestion:
     ) -> None:
         self.beams = tuple(beam.bare() for beam in beams)
         self.camera, self.tukey, self.flanks, self.stride = camera, tukey, flanks, stride
-        self._arrays = _Beams(beams, competitors)
+        self._arrays = Beams(beams, competitors)
 
     def sums(self) -> Sums:
         """Nothing yet, to be added to."""
@@ -201,7 +209,7 @@ class EndQuestion:
 
     def __init__(self, beams: Sequence[Beam], camera: Camera) -> None:
         self.camera = camera
-        self._arrays = _Beams(beams, "all")
+        self._arrays = Beams(beams, "all")
 
     def sums(self) -> FloatArray:
         """(M, 2, N) float64: log-likelihood of each beam by both ends' places, none yet."""
@@ -261,7 +269,7 @@ class LeftoverQuestion:
 
     def __init__(self, beams: Sequence[Beam], camera: Camera) -> None:
         self.camera = camera
-        self._arrays = _Beams(beams, "none")
+        self._arrays = Beams(beams, "none")
 
     def ask(self, scans: Sequence[Scan]) -> Leftovers:
         """Pool what some scans leave.

@@ -27,7 +27,7 @@ from beamseg_batch.structure.interval_kernels import best_intervals, densest_par
 from beamseg_batch.structure.neighbours import Neighbours
 from beamseg_batch.structure.snapping import snapped
 
-__all__ = ["PassRules", "refined"]
+__all__ = ["PassRules", "refined", "side_by_side"]
 
 INTERVAL_COST = 50.0
 LEAST_SCORE = 300.0
@@ -113,7 +113,7 @@ def refined(
     found += _outdone(refused) if rules.drop else []
     found = without_duplicates(found, fates) if rules.merge else found
     found = without_collisions(found, fates) if rules.drop and rules.trimmed else found
-    found = fates.settled(beams, found, _side_by_side)
+    found = fates.settled(beams, found, side_by_side)
     return snapped(found) if rules.snap else found
 
 
@@ -126,13 +126,14 @@ def _outdone(refused: Sequence[Beam]) -> list[Beam]:
     ordered = Neighbours(sorted(refused, key=lambda beam: -beam.score))
     for rank, beam in enumerate(ordered.beams):
         weaker = (ordered.beams[k] for k in ordered.near(beam) if k > rank)
-        outdone = any(_side_by_side(beam, one) for one in weaker)
-        if outdone and is_likely(beam) and not any(_side_by_side(beam, one) for one in waiting):
+        outdone = any(side_by_side(beam, one) for one in weaker)
+        if outdone and is_likely(beam) and not any(side_by_side(beam, one) for one in waiting):
             waiting.append(beam)
     return waiting
 
 
-def _side_by_side(one: Beam, other: Beam) -> bool:
+def side_by_side(one: Beam, other: Beam) -> bool:
+    """Whether two beams lie so near one another that their rays are the same."""
     offset, overlap = _apart(one, other)[:2]
     return offset < one.radius + other.radius and overlap > 0.0
 
