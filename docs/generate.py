@@ -18,7 +18,7 @@ from beamseg_batch import reasons
 from beamseg_batch.config import ALIASES, RunConfig, load_config
 from beamseg_batch.evaluation import COMPARED, MEASURES, Measure
 from beamseg_batch.outputs import structure_file
-from beamseg_batch.tables import CANDIDATES, TABLES, TRUTH_TABLES
+from beamseg_batch.tables import CANDIDATES, FLY_AGAIN, TABLES, TRUTH_TABLES
 
 DOCS = Path(__file__).resolve().parent
 PROFILES = ("precise", "report")
@@ -46,7 +46,8 @@ def updated(page: str) -> str:
 def _parts() -> dict[str, Callable[[], str]]:
     """What can be generated, by name."""
     parts: dict[str, Callable[[], str]] = {
-        table.file_name: table.documentation for table in (*TABLES, CANDIDATES, *TRUTH_TABLES)
+        table.file_name: table.documentation
+        for table in (*TABLES, FLY_AGAIN, CANDIDATES, *TRUTH_TABLES)
     }
     return parts | {
         "structure.npz": structure_file.documentation,

@@ -47,6 +47,7 @@ __all__ = [
     "DetectionConfig",
     "ExtrinsicConfig",
     "FilteringConfig",
+    "FlyAgainConfig",
     "HoughConfig",
     "IntersectionConfig",
     "MatchingConfig",
@@ -360,6 +361,23 @@ class RefinementConfig(Node):
     """Whether a last pass measures where the ends are."""
 
 
+class FlyAgainConfig(Node):
+    """Which beams should be flown again, and from where."""
+
+    max_sigma_offset: Positive = 0.002
+    """Largest standard deviation of an axis across its direction that is good enough, metres."""
+    max_sigma_angle_deg: Positive = 0.2
+    """Likewise of its direction, degrees."""
+    max_sigma_end: Positive = 0.01
+    """Likewise of an end along the axis, metres."""
+    clearance: Positive = 0.5
+    """Smallest distance of the drone from the surface of a beam, metres."""
+    stay_s: Positive = 5.0
+    """Time to stay at each place, seconds."""
+    speed: Positive = 0.3
+    """Speed on the way from place to place, metres per second."""
+
+
 class OutputConfig(Node):
     """What is written, and where."""
 
@@ -374,6 +392,7 @@ class OutputConfig(Node):
     is one or not, for beamseg explain. Needs the extra parquet."""
     cloud_points: Annotated[int, Field(ge=0, le=20_000_000)] = 200_000
     """Most points of the thinned cloud of the flight."""
+    fly_again: FlyAgainConfig = FlyAgainConfig()
 
 
 class RunConfig(Node):

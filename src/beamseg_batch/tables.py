@@ -24,6 +24,7 @@ from beamseg_batch.errors import RunError, ShapeError
 
 __all__ = [
     "CANDIDATES",
+    "FLY_AGAIN",
     "INTERSECTIONS",
     "JOINTS",
     "MEMBERS",
@@ -596,8 +597,22 @@ CANDIDATES = Table(
 )
 """What might have been a beam, and why it is one or not; written where that is asked."""
 
+FLY_AGAIN = Table(
+    "fly_again.csv",
+    "One row per place that the drone flies to, in the world frame, in that order.",
+    (
+        Column("x", "m", "Where the drone flies to, x", spec=".3f"),
+        Column("y", "m", "Where the drone flies to, y", spec=".3f"),
+        Column("z", "m", "Where the drone flies to, z", spec=".3f"),
+        Column("yaw", "rad", "Where it looks when it arrives", spec=".4f"),
+        Column("duration", "s", "Time that it takes from the place before", spec=".1f"),
+    ),
+    deterministic=True,
+)
+"""Where to fly again, as a file of waypoints; a run without need of it has none."""
+
 TABLES = (SEGMENTS, INTERSECTIONS, JOINTS, MEMBERS, PROCESSING_TIME)
-"""Every table that all runs have."""
+"""The tables that every run has."""
 
 TRUTH = Table(
     "truth.csv",

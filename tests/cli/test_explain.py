@@ -155,7 +155,7 @@ def test_run__says_before_the_flight_is_read_that_the_extra_is_missing(
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     monkeypatch.setattr("beamseg_batch.pipeline.process_flight", None)
     line = refused(2, "run", flight, "-o", "out", "--keep-candidates")
-    assert line.startswith("candidates.parquet needs pyarrow")
+    assert line.startswith("candidates.parquet needs the library pyarrow")
     assert "pip install 'beamseg-batch[parquet]'" in line
     assert list(here.iterdir()) == []
 

@@ -6,12 +6,15 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from beamseg_batch import read_run
+from tests.evaluation.structures import truth_of, write_truth
 
 FILES = {
     "config.yaml",
+    "fly_again.csv",
     "intersections.csv",
     "joints.csv",
     "members.csv",
@@ -56,9 +59,7 @@ def test_run__sums_up_on_stdout_and_logs_on_stderr(ok, flight):
     assert [line.split()[0] for line in result.stdout.splitlines()] == [
         "beams",
         "joints",
-        "not",
         "scans",
-        "sensor",
         "time",
         "report",
     ]
@@ -68,6 +69,31 @@ def test_run__sums_up_on_stdout_and_logs_on_stderr(ok, flight):
     assert reading == f"beamseg: reading {flight} (MCAP (ROS 2))"
     assert note.startswith("beamseg: the recording does not say where the camera sits")
     assert rows.startswith("beamseg: the clouds have no rows and columns")
+
+
+def test_run__truth_is_told_of_in_the_report(ok, flight, here):
+    beam = np.array([[[1.05, -0.8, 1.0], [1.05, 0.8, 1.0]]])
+    truth = write_truth(here / "truth.csv", truth_of(beam))
+    result = ok("run", flight, "-o", "out", "--truth", truth)
+    page = (here / "out" / "report.html").read_text()
+    assert "Against the truth" in page
+    assert "1 of 1 members" in page
+    assert len(result.stdout.splitlines()) == 5
+    assert "Against the truth" not in (here / "out" / "summary.json").read_text()
+
+
+def test_run__broken_truth_is_found_before_the_work(call, flight, here):
+    (here / "truth.csv").write_text("id,x1\n")
+    result = call("run", flight, "-o", "out", "--truth", "truth.csv")
+    assert result.exit_code != 0
+    assert "truth.csv: has no column" in result.stderr
+    assert not (here / "out").exists()
+
+
+def test_run__names_the_waypoints_where_something_is_to_be_flown_again(ok, flight, here):
+    result = ok("run", flight, "-o", "out", "--set", "outputs.fly_again.max_sigma_offset=1e-9")
+    assert result.stdout.splitlines()[0].endswith("; to fly again: fly_again.csv")
+    assert (here / "out" / "fly_again.csv").read_text().startswith("x,y,z,yaw,duration\n")
 
 
 def test_run__names_the_folder_when_there_is_no_report(ok, flight):

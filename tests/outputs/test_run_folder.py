@@ -9,11 +9,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from beamseg_batch import section as outlines
 from beamseg_batch.config import OutputConfig, RunConfig, load_config
 from beamseg_batch.errors import OutputError, RunError
 from beamseg_batch.model import CrossSection, across_of
 from beamseg_batch.outputs import check_output, planned_files, read_run, write_run
-from beamseg_batch.section import Section
+from beamseg_batch.pages.rendering import Html, Section
 from beamseg_batch.tables import TABLES
 
 
@@ -37,6 +38,7 @@ def test_write_run__writes_what_was_planned(tmp_path, flight):
     run = write_run(flight, tmp_path / "out")
     files = [
         "config.yaml",
+        "fly_again.csv",
         "intersections.csv",
         "joints.csv",
         "members.csv",
@@ -49,6 +51,23 @@ def test_write_run__writes_what_was_planned(tmp_path, flight):
     assert sorted(file.name for file in (tmp_path / "out").iterdir()) == files
     assert list(run.files) == list(planned_files(flight.config)) == run.summary["files"] == files
     assert run.report == tmp_path / "out" / "report.html"
+
+
+def test_write_run__no_waypoints_where_nothing_is_to_be_flown_again(tmp_path, make_flight):
+    run = write_run(make_flight(n_segments=0), tmp_path / "out")
+    assert "fly_again.csv" not in run.files
+    assert run.summary["files"] == list(run.files)
+    assert not (tmp_path / "out" / "fly_again.csv").exists()
+
+
+def test_write_run__more_sections_are_made_from_the_tables(tmp_path, flight):
+    def more(tables):
+        assert (tables / "segments.csv").is_file()
+        assert not (tmp_path / "out").exists()
+        return [Section("more", "More of it", Html(""), {})]
+
+    run = write_run(flight, tmp_path / "out", more=more)
+    assert "More of it" in run.report.read_text()
 
 
 def test_write_run__without_report(tmp_path, flight_without_report):
@@ -209,7 +228,7 @@ def test_read_run__what_is_not_known_stays_unknown(tmp_path, make_flight):
 
 def test_read_run__sections_come_back(tmp_path, flight_without_report):
     first, second, *rest = flight_without_report.segments
-    size = Section("i", 0.1, 0.12, 0.008, 0.01)
+    size = outlines.Section("i", 0.1, 0.12, 0.008, 0.01)
     angle = CrossSection("i", size, across_of(35.0, first.direction), "My I", 0.99)
     segments = (
         replace(first, cross_section=angle),

@@ -130,6 +130,7 @@ class ScanProgress:
             TextColumn("{task.fields[rate]}"),
             TextColumn("{task.fields[beams]} beams"),
             TimeLeft(),
+            TextColumn("left"),
             console=Console(stderr=True),
             transient=True,
         )
@@ -141,8 +142,15 @@ class ScanProgress:
         if self._bar is None:
             return
         task = self._bar.tasks[self._task]
-        rate = f"{task.speed:.0f}/s" if task.speed else ""
+        rate = _per_second(task.speed)
         self._bar.update(self._task, advance=1, beams=n_segments, rate=rate)
+
+
+def _per_second(speed: float | None) -> str:
+    """Rate of scans in two digits or more; nothing before it is known."""
+    if not speed:
+        return ""
+    return f"{speed:.0f} scans/s" if speed >= 10 else f"{speed:.1f} scans/s"
 
 
 def begin_work() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import click
 
@@ -25,15 +25,22 @@ from beamseg_batch.cli.options import (
     recording_argument,
     verbosity_options,
 )
-from beamseg_batch.errors import OutputError
+from beamseg_batch.errors import BeamsegError, OutputError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from beamseg_batch.config import RunConfig
     from beamseg_batch.model import FlightResult
     from beamseg_batch.outputs import WrittenRun
+    from beamseg_batch.pages.rendering import Section
     from beamseg_batch.recording import Recording
 
+    _More: TypeAlias = Callable[[Path], list[Section]]
+
 __all__ = ["command"]
+
+FLY_AGAIN_FILE = "fly_again.csv"
 
 
 @click.command("run")
@@ -66,6 +73,12 @@ __all__ = ["command"]
     type=click.Path(readable=False, path_type=Path),
     help="Also write a replay for RViz and Foxglove: FILE.mcap (ROS 2) or FILE.bag (ROS 1).",
 )
+@click.option(
+    "--truth",
+    metavar="PATH",
+    type=click.Path(exists=True, path_type=Path),
+    help="Measure the run against truth.csv, its folder or a world; the report tells how it went.",
+)
 @config_options
 @click.option("--json", "as_json", is_flag=True, help="Print summary.json on stdout.")
 @verbosity_options
@@ -76,6 +89,7 @@ def command(
     jobs: int,
     keep: bool,
     record: Path | None,
+    truth: Path | None,
     options: ConfigOptions,
     as_json: bool,
     verbose: bool,
@@ -86,13 +100,14 @@ def command(
     RECORDING is a ROS 1 bag, a ROS 2 bag (folder or file) or an MCAP file; several paths
     are the parts of one flight. The output folder then holds segments.csv (the beams),
     joints.csv, members.csv, intersections.csv, processing_time.csv, structure.npz,
-    summary.json, config.yaml and report.html.
+    summary.json, config.yaml and report.html; fly_again.csv too, if some beams should be.
 
     \b
     Examples:
       beamseg run flight.mcap
       beamseg run flight.bag -o out --profile report
       beamseg run flight.mcap --jobs 4
+      beamseg run sim/flight.mcap --truth sim/truth
       beamseg run flight.mcap --extrinsic 0.071,0.011,0.04 --set filtering.radii=[0.1]
       beamseg run flight.mcap --record views.mcap
 
@@ -125,6 +140,7 @@ def command(
                 f"{record} would replace or change the recording; choose another name"
             )
         check_views(record, overwrite=overwrite)
+    more = _nothing if truth is None else _comparison(truth)
     if level >= 1:
         note(f"reading {', '.join(map(str, recording))} ({opened.container})")
 
@@ -137,7 +153,7 @@ def command(
         )
         asked = stop_asked()
     _tell(result, level)
-    written = _write(result, folder, overwrite)
+    written = _write(result, folder, overwrite, more)
     if record is not None and not asked:
         _record(opened, result, record, jobs=jobs, overwrite=overwrite)
         if level >= 1:
@@ -145,7 +161,7 @@ def command(
     if as_json:
         say(json.dumps(written.summary, indent=2))
     elif level >= 1:
-        say(_six_lines(result, written))
+        say(_five_lines(result, written))
     if result.interrupted:
         warn(f"incomplete: {result.warnings[-1]}; what is known is in {written.folder}")
         click.get_current_context().exit(INTERRUPTED if asked else FAILED)
@@ -175,12 +191,37 @@ def _are_same(path: Path, other: Path) -> bool:
         return False
 
 
-def _write(result: FlightResult, folder: Path, overwrite: bool) -> WrittenRun:
+def _write(result: FlightResult, folder: Path, overwrite: bool, more: _More) -> WrittenRun:
     from beamseg_batch.outputs import partial_path, write_run
 
     if result.interrupted:
-        return write_run(result, partial_path(folder), overwrite=True)
-    return write_run(result, folder, overwrite=overwrite)
+        return write_run(result, partial_path(folder), overwrite=True, more=more)
+    return write_run(result, folder, overwrite=overwrite, more=more)
+
+
+def _nothing(_: Path) -> list[Section]:
+    return []
+
+
+def _comparison(path: Path) -> _More:
+    """Read a truth at once, so that a mistake in it costs no time; compare when all is done."""
+    from beamseg_batch.evaluation import evaluate, load_result, load_truth
+
+    truth = load_truth(path)
+
+    def compare(tables: Path) -> list[Section]:
+        from beamseg_batch.evaluation.page import evaluation_section
+
+        try:
+            evaluation = evaluate(truth, load_result(tables))
+        except BeamsegError as error:  # the run itself is whole
+            warn(f"not measured against {path}: {error}")
+            return []
+        for text in evaluation.notes:
+            note(text)
+        return [evaluation_section(evaluation)]
+
+    return compare
 
 
 def _record(
@@ -202,6 +243,13 @@ def _tell(result: FlightResult, level: int) -> None:
         for text in result.warnings[: -1 if result.interrupted else None]:
             warn(text)
     if level >= 2:
+        from beamseg_batch.outputs import sensor_text
+        from beamseg_batch.reasons import in_words
+
+        note(f"sensor: {sensor_text(result.sensor)}")
+        note(
+            f"not beams: {in_words(result.rejections, 'candidates') or 'no candidate was refused'}"
+        )
         for scan in result.scans:
             note(
                 f"scan {scan.stamp_ns}: {scan.n_points_filtered} points, {scan.n_lines} lines, "
@@ -209,26 +257,22 @@ def _tell(result: FlightResult, level: int) -> None:
             )
 
 
-def _six_lines(result: FlightResult, written: WrittenRun) -> str:
+def _five_lines(result: FlightResult, written: WrittenRun) -> str:
     """Sum a run up for the person who started it."""
-    from beamseg_batch.outputs import sensor_text
-    from beamseg_batch.reasons import in_words
-
-    refused = in_words(result.rejections, "candidates")
     length = sum(segment.length for segment in result.segments)
     median_ms = written.summary["processing"]["p50_ms"]
     pace = "" if median_ms is None else f", {median_ms:.1f} ms a scan (median)"
     longest = max(result.segments, key=lambda s: s.length, default=None)
+    again = f"; to fly again: {FLY_AGAIN_FILE}" if FLY_AGAIN_FILE in written.files else ""
     return "\n".join(
         [
             f"beams          {len(result.segments)}, {length:.2f} m in all"
-            + (f", the longest {longest.length:.2f} m" if longest else ""),
+            + (f", the longest {longest.length:.2f} m" if longest else "")
+            + again,
             f"joints         {len(result.joints)}, "
             f"{len(result.intersections)} pairs of beams touch",
-            f"not beams      {refused or 'no candidate was refused'}",
             f"scans          {len(result.scans)} used, {result.skipped.total()} skipped, "
             f"{result.recording.duration_s:.1f} s of flight",
-            f"sensor         {sensor_text(result.sensor)}",
             f"time           {result.wall_s:.1f} s{pace}",
             f"report         {written.report or written.folder}",
         ]

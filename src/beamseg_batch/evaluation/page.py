@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from html import escape
 from importlib import resources
 from typing import Any
 
@@ -12,23 +13,17 @@ from beamseg_batch.evaluation.gates import Check
 from beamseg_batch.evaluation.measures import MEASURES, Evaluation, Verdict
 from beamseg_batch.evaluation.wording import number, percent, spread_rows
 from beamseg_batch.geometry import FloatArray
-from beamseg_batch.pages.figures import (
-    Figure,
-    axes_layout,
-    cylinder_mesh,
-    mesh_trace,
-    octahedron_mesh,
-    scene_layout,
-    typed,
-)
-from beamseg_batch.pages.rendering import render_page
+from beamseg_batch.pages.charts import Chart, Series
+from beamseg_batch.pages.drawing import Drawing
+from beamseg_batch.pages.rendering import Section, render_page, render_part
+from beamseg_batch.pages.scenes import Cylinders, Marks, Scene
 
-__all__ = ["errors_figure", "overlay_figure", "render_evaluation"]
+__all__ = ["errors_chart", "evaluation_section", "overlay_scene", "render_evaluation"]
 
 MAX_DRAWN = 2_000
 """Members, and as many segments and joints of each kind, that are drawn."""
 
-_TRUE, _FOUND, _DOUBLE, _WRONG, _ASIDE = "$path", "$beam", "$chosen", "$joint", "$cloud"
+_TRUE, _FOUND, _DOUBLE, _WRONG, _ASIDE = "$path", "$beam", "$chosen", "$bad", "$cloud"
 _MET = "$ink"
 _COLOURS: dict[Verdict, str] = {
     "matched": _FOUND,
@@ -39,8 +34,7 @@ _COLOURS: dict[Verdict, str] = {
 }
 _TRUE_SHARE = 0.96  # of its radius: a perfect result hides the truth instead of mingling with it
 _JOINT_REACH_M = 0.12
-_MAX_NAMED = 30  # points with their name beside them
-_TEMPLATE = "evaluation.html.j2"
+_TEMPLATE, _PART = "evaluation.html.j2", "evaluation_part.html.j2"
 
 
 def render_evaluation(evaluation: Evaluation, checks: Sequence[Check] = ()) -> str:
@@ -57,26 +51,48 @@ def render_evaluation(evaluation: Evaluation, checks: Sequence[Check] = ()) -> s
     str
         HTML with everything in it; it opens offline.
     """
-    template = resources.files(__package__).joinpath("templates", _TEMPLATE)
-    figures = {"structure": overlay_figure(evaluation)}
-    if evaluation.matches:
-        figures["errors"] = errors_figure(evaluation)
+    section = evaluation_section(evaluation)
     return render_page(
-        template.read_text("utf-8"),
-        figures,
+        _template(_TEMPLATE),
+        section.drawings,
+        evaluation=evaluation,
+        checks=checks,
+        section=section,
+    )
+
+
+def evaluation_section(evaluation: Evaluation) -> Section:
+    """Render an evaluation as a part of a page, such as the report of its run.
+
+    Parameters
+    ----------
+    evaluation : Evaluation
+
+    Returns
+    -------
+    Section
+    """
+    drawings: dict[str, Drawing] = {}
+    if evaluation.truth.names or evaluation.verdicts:
+        drawings["overlay"] = overlay_scene(evaluation).drawing
+    if evaluation.matches:
+        drawings["errors"] = errors_chart(evaluation).drawing
+    html = render_part(
+        _template(_PART),
+        drawings,
         filters={"number": number, "percent": percent},
         evaluation=evaluation,
         metrics=evaluation.metrics,
         spreads=spread_rows(MEASURES, evaluation.metrics),
         members=_member_rows(evaluation),
         others=_other_rows(evaluation),
-        checks=checks,
         max_drawn=MAX_DRAWN,
         all_drawn=max(len(evaluation.truth.names), len(evaluation.verdicts)) <= MAX_DRAWN,
     )
+    return Section("truth", "Against the truth", html, drawings)
 
 
-def overlay_figure(evaluation: Evaluation) -> Figure:
+def overlay_scene(evaluation: Evaluation) -> Scene:
     """Draw truth and result over one another: figure 12 of the report.
 
     Parameters
@@ -85,57 +101,57 @@ def overlay_figure(evaluation: Evaluation) -> Figure:
 
     Returns
     -------
-    Figure
-        One scene. Members are drawn whole, segments by their verdict.
+    Scene
+        Members are drawn whole, segments by their verdict.
     """
     truth, result = evaluation.truth, evaluation.result
     true_ends = np.stack([truth.axes.starts, truth.axes.ends], axis=1)
     ends = np.stack([result.axes.starts, result.axes.ends], axis=1)
-    traces = []
+    parts: list[Cylinders | Marks] = []
     for name, colour, opacity, rows in _members_by_fate(evaluation):
-        labels = [f"<b>member {truth.names[m]}</b><br>{_size(truth, m)}" for m in rows]
-        trace = _cylinders(name, colour, true_ends, _TRUE_SHARE * truth.radii, rows, labels)
-        traces += [trace | {"opacity": opacity}] if trace else []
+        labels = [f"<b>member {escape(truth.names[m])}</b><br>{_size(truth, m)}" for m in rows]
+        radii = _TRUE_SHARE * truth.radii
+        parts.append(_cylinders(name, colour, true_ends, radii, rows, labels, opacity))
     for verdict, colour in _COLOURS.items():
         rows = [s for s, found in enumerate(evaluation.verdicts) if found == verdict]
         labels = [_segment_label(evaluation, s) for s in rows]
-        trace = _cylinders(verdict, colour, ends, result.radii, rows, labels)
-        traces += [trace] if trace else []
-    traces += _joint_traces(evaluation)
+        parts.append(_cylinders(verdict, colour, ends, result.radii, rows, labels))
     shown = np.concatenate([true_ends.reshape(-1, 3), ends.reshape(-1, 3)])
-    return {"data": traces, "layout": scene_layout(shown)}
+    return Scene((*parts, *_joints(evaluation)), shown, "truth and result over one another")
 
 
-def errors_figure(evaluation: Evaluation) -> Figure:
+def errors_chart(evaluation: Evaluation) -> Chart:
     """Draw the distance of the mid-points against the angle: figure 13 of the report.
 
     Parameters
     ----------
     evaluation : Evaluation
+        With at least one match.
 
     Returns
     -------
-    Figure
+    Chart
         A point per match: metres across, radians up.
     """
     matches = evaluation.matches
-    values = {
-        "x": np.array([match.midpoint_distance for match in matches]),
-        "y": np.radians([match.angle_deg for match in matches]),
-    }
-    trace = {
-        "type": "scatter",
-        "mode": "markers+text" if len(matches) <= _MAX_NAMED else "markers",
-        **{axis: typed(numbers) for axis, numbers in values.items()},
-        "text": [evaluation.truth.names[match.member] for match in matches],
-        "textposition": "top center",
-        "marker": {"size": 9, "color": _FOUND},
-        "hovertemplate": "member %{text}: %{x:.4f} m, %{y:.5f} rad<extra></extra>",
-    }
-    layout = axes_layout("distance of the mid-points [m]", "angle [rad]")
-    for axis, numbers in values.items():
-        layout[f"{axis}axis"]["range"] = [0.0, 1.15 * float(numbers.max(initial=1e-6))]
-    return {"data": [trace], "layout": layout}
+    series = Series(
+        "points",
+        "members",
+        _FOUND,
+        np.array([match.midpoint_distance for match in matches]),
+        np.radians([match.angle_deg for match in matches]),
+        tuple(evaluation.truth.names[match.member] for match in matches),
+    )
+    return Chart(
+        "distance of the mid-points [m]",
+        "angle [rad]",
+        (series,),
+        "distance of the mid-points and angle of every match",
+    )
+
+
+def _template(name: str) -> str:
+    return resources.files(__package__).joinpath("templates", name).read_text("utf-8")
 
 
 def _members_by_fate(evaluation: Evaluation) -> list[tuple[str, str, float, list[int]]]:
@@ -156,14 +172,13 @@ def _cylinders(
     radii: FloatArray,
     rows: list[int],
     labels: list[str],
-) -> dict[str, Any] | None:
+    opacity: float = 1.0,
+) -> Cylinders:
     rows, labels = rows[:MAX_DRAWN], labels[:MAX_DRAWN]
-    return (
-        mesh_trace(name, colour, cylinder_mesh(ends[rows], radii[rows]), labels) if rows else None
-    )
+    return Cylinders(name, colour, ends[rows], radii[rows], labels, opacity=opacity)
 
 
-def _joint_traces(evaluation: Evaluation) -> list[dict[str, Any]]:
+def _joints(evaluation: Evaluation) -> list[Marks]:
     joints, claimed = evaluation.joints, evaluation.result.joints
     if joints is None or claimed is None:
         return []
@@ -173,13 +188,11 @@ def _joint_traces(evaluation: Evaluation) -> list[dict[str, Any]]:
         ("joints missed", _TRUE, true[list(joints.missed[:MAX_DRAWN])]),
         ("joints invented", _WRONG, claimed[list(joints.invented[:MAX_DRAWN])]),
     )
-    traces = []
+    marks = []
     for name, colour, places in kinds:
-        if len(places):
-            mesh = octahedron_mesh(places, np.full(len(places), _JOINT_REACH_M))
-            labels = [f"{name}: {x:.3f}, {y:.3f}, {z:.3f}" for x, y, z in places]
-            traces.append(mesh_trace(name, colour, mesh, labels) | {"flatshading": True})
-    return traces
+        labels = [f"{name}: {x:.3f}, {y:.3f}, {z:.3f}" for x, y, z in places]
+        marks.append(Marks(name, colour, places, np.full(len(places), _JOINT_REACH_M), labels))
+    return marks
 
 
 def _size(truth: Any, member: int) -> str:
@@ -188,7 +201,7 @@ def _size(truth: Any, member: int) -> str:
 
 def _segment_label(evaluation: Evaluation, segment: int) -> str:
     result, member = evaluation.result, evaluation.nearest[segment]
-    about = "" if member is None else f", member {evaluation.truth.names[member]}"
+    about = "" if member is None else f", member {escape(evaluation.truth.names[member])}"
     return (
         f"<b>segment {result.numbers[segment]}</b>: {evaluation.verdicts[segment]}{about}"
         f"<br>{_size(result, segment)}"

@@ -2,49 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from beamseg_batch.geometry import FloatArray
-from beamseg_batch.model import FlightResult, Joint, ScanRecord, Segment, Trajectory
+from beamseg_batch.model import FlightResult, Joint, Member, ScanRecord, Segment
 from beamseg_batch.outputs.columns import time_origin_ns
-from beamseg_batch.pages.figures import (
-    Figure,
-    Mesh,
-    axes_layout,
-    cylinder_mesh,
-    mesh_trace,
-    octahedron_mesh,
-    positions,
-    scene_layout,
-    thinned,
-    typed,
-)
+from beamseg_batch.outputs.fly_again import FlightPlan, Look
+from beamseg_batch.pages.charts import Chart, Limit, Series, envelope, histogram, quartiles
+from beamseg_batch.pages.figures import Mesh, cylinder_mesh, thinned
+from beamseg_batch.pages.scenes import Cylinders, Marks, Path, Points, Scene, Shade
 
 __all__ = [
     "MAX_BEAMS",
     "MAX_CLOUD_POINTS",
     "beam_mesh",
-    "processing_figure",
-    "size_figure",
-    "structure_figure",
-    "times_by_lines_figure",
+    "charts",
+    "structure_scene",
 ]
 
 MAX_BEAMS = 2_000
-"""Beams, and as many joints, that are drawn."""
+"""Beams, and as many joints and members, that are drawn."""
 MAX_CLOUD_POINTS = 30_000
 """Points of the cloud that are drawn."""
 
 _MAX_TRAJECTORY_POINTS = 4_000
-_MAX_SCANS = 10_000
+_MAX_BOXES = 16
 _JOINT_REACH = 2.8  # in radii of the thickest beam, so 1.8 of them stand out
+_MEMBER_REACH = 1.04  # in radii, so that members hide the beams that they are parts of
+_PLACE_REACH_M = 0.12
 
 # The page replaces these names by the colours of its light or dark theme.
-_BEAM, _JOINT, _PATH, _CLOUD = "$beam", "$joint", "$path", "$cloud"
+_BEAM, _JOINT, _PATH, _CLOUD, _AGAIN = "$beam", "$joint", "$path", "$cloud", "$chosen"
 
 
 def beam_mesh(segments: Sequence[Segment]) -> Mesh:
@@ -58,40 +49,57 @@ def beam_mesh(segments: Sequence[Segment]) -> Mesh:
     -------
     Mesh
     """
-    radii = np.array([segment.radius for segment in segments], dtype=np.float64)
-    return cylinder_mesh(_ends(segments), radii)
+    return cylinder_mesh(_ends(segments), _radii(segments))
 
 
-def structure_figure(result: FlightResult) -> Figure:
-    """Draw beams, joints, trajectory and a thinned cloud in three dimensions.
+def structure_scene(
+    result: FlightResult,
+    plan: FlightPlan,
+    labels: Sequence[str] = (),
+    shades: Mapping[str, Shade] = MappingProxyType({}),
+) -> Scene:
+    """Draw beams, joints, members, trajectory, a thinned cloud and where to fly again.
 
     Parameters
     ----------
     result : FlightResult
+    plan : FlightPlan
+    labels : sequence of str
+        Of the beams that are drawn, HTML.
+    shades : mapping of str to Shade
+        Ways to colour them; the first is that of the still pictures.
 
     Returns
     -------
-    Figure
-        One scene with equal scales, metres, world frame. The `meta` of a mesh holds a label
-        per object and its number of vertices; the page makes a label per vertex of them.
+    Scene
+        Metres, world frame.
     """
-    traces = [
-        _cloud_trace(result.cloud),
-        _trajectory_trace(result.trajectory),
-        _beams_trace(result.segments[:MAX_BEAMS]),
-        _joints_trace(result),
-    ]
-    shown = np.concatenate(
-        [_ends(result.segments).reshape(-1, 3), result.trajectory.positions, result.cloud]
+    beams = result.segments[:MAX_BEAMS]
+    places = result.trajectory.positions
+    cloud = result.cloud[np.isfinite(result.cloud).all(axis=1)]
+    parts = (
+        Points("cloud", _CLOUD, cloud[thinned(len(cloud), MAX_CLOUD_POINTS)]),
+        Path("trajectory", _PATH, places[thinned(len(places), _MAX_TRAJECTORY_POINTS)]),
+        Cylinders(
+            "beams",
+            _BEAM,
+            _ends(beams),
+            _radii(beams),
+            labels,
+            shades,
+            named=[str(number) for number in range(len(beams))],
+        ),
+        _members(result),
+        _joints(result),
+        _places([look for look in plan.looks if look.place is not None][:MAX_BEAMS]),
     )
-    return {
-        "data": [trace for trace in traces if trace is not None],
-        "layout": scene_layout(shown),
-    }
+    shown = np.concatenate([_ends(result.segments).reshape(-1, 3), places, cloud])
+    count = f"{len(result.segments)} beams, {len(result.joints)} joints"
+    return Scene(parts, shown, f"the structure: {count}, and the path that was flown")
 
 
-def processing_figure(result: FlightResult, interval_ms: float | None) -> Figure:
-    """Draw the processing time of every scan over the flight.
+def charts(result: FlightResult, interval_ms: float | None) -> dict[str, tuple[str, Chart]]:
+    """Draw what a flight took and gave, scan by scan.
 
     Parameters
     ----------
@@ -101,80 +109,124 @@ def processing_figure(result: FlightResult, interval_ms: float | None) -> Figure
 
     Returns
     -------
-    Figure
-        Seconds across, milliseconds up.
+    mapping of str to (title, chart)
+        Only those for which there are numbers.
     """
-    times_s, scans = _timeline(result)
-    trace = {
-        "type": "scatter",
-        "mode": "lines" if len(scans) > 1 else "markers",
-        "name": "scan",
-        "x": typed(times_s),
-        "y": typed(_processing_ms(scans)),
-        "line": {"width": 1, "color": _BEAM},
-        "hovertemplate": "%{x:.2f} s: %{y:.2f} ms<extra></extra>",
+    if not result.scans:
+        return {}
+    made = {
+        "processing": ("Processing time of every scan", _processing(result, interval_ms)),
+        "by-lines": ("Processing time by number of lines", _times_by_lines(result.scans)),
+        "points": ("Points of every scan", _points(result)),
+        "lines": ("Lines of every scan", _lines(result)),
+        "size": ("Beams over the flight", _size(result)),
+        "gaps": ("From every scan to its nearest pose", _gaps(result)),
     }
-    layout = axes_layout("flight time [s]", "processing time [ms]")
-    layout["yaxis"]["range"] = [0, _upper_limit(result.scans)]
-    if interval_ms is not None and interval_ms <= 3 * _upper_limit(result.scans):
-        layout["yaxis"]["range"][1] = max(_upper_limit(result.scans), 1.1 * interval_ms)
-        layout["shapes"] = [_limit_line(interval_ms)]
-    return {"data": [trace], "layout": layout}
+    return made | _sigmas(result.segments)
 
 
-def times_by_lines_figure(result: FlightResult) -> Figure:
-    """Draw the distribution of the processing time, for all scans and by number of lines.
+def _processing(result: FlightResult, interval_ms: float | None) -> Chart:
+    times_ms = _each(result.scans, lambda scan: scan.processing_us * 1e-3)
+    top = _upper_limit(times_ms)
+    limit = None
+    if interval_ms is not None and interval_ms <= 3 * top:
+        top = max(top, 1.1 * interval_ms)
+        limit = Limit("y", interval_ms, "time between two clouds")
+    series = _over_time(result, "scan", _BEAM, times_ms)
+    description = f"processing time of every scan; median {np.median(times_ms):.1f} ms"
+    return Chart("flight time [s]", "processing time [ms]", (series,), description, top, limit)
 
-    Parameters
-    ----------
-    result : FlightResult
 
-    Returns
-    -------
-    Figure
-        A box per number of lines, milliseconds up.
+def _times_by_lines(scans: Sequence[ScanRecord]) -> Chart:
+    """Figures 14a and 14b of the report, which shows a tenth of the true seconds.
 
-    Notes
-    -----
-    Figures 14a and 14b of the report, which shows a tenth of the true seconds: its plots
-    divide microseconds by 10⁷.
+    Its plots divide microseconds by 10⁷.
     """
-    _, scans = _timeline(result)
-    times_ms = _processing_ms(scans)
-    lines = np.array([scan.n_lines for scan in scans], dtype=np.int64)
-    traces = [_box("all", times_ms, _JOINT)]
-    traces += [_box(str(n), times_ms[lines == n], _BEAM) for n in np.unique(lines)]
-    layout = axes_layout("lines found in the scan", "processing time [ms]")
-    layout["xaxis"]["type"] = "category"
-    layout["yaxis"]["range"] = [0, _upper_limit(result.scans)]
-    return {"data": traces, "layout": layout}
+    times_ms = _each(scans, lambda scan: scan.processing_us * 1e-3)
+    lines = _each(scans, lambda scan: scan.n_lines).astype(np.int64)
+    lines = np.minimum(lines, _MAX_BOXES)
+    groups = {"all": times_ms} | {_count_name(n): times_ms[lines == n] for n in np.unique(lines)}
+    boxes = np.array([quartiles(times) for times in groups.values()])
+    series = Series(
+        "boxes", "scans", _BEAM, np.arange(len(groups), dtype=np.float64), boxes, tuple(groups)
+    )
+    return Chart(
+        "lines found in the scan",
+        "processing time [ms]",
+        (series,),
+        "distribution of the processing time, for all scans and by number of lines",
+    )
 
 
-def size_figure(result: FlightResult) -> Figure:
-    """Draw the number of beams in the structure over the flight.
+def _count_name(count: int) -> str:
+    return f"≥{count}" if count >= _MAX_BOXES else str(count)
 
-    Parameters
-    ----------
-    result : FlightResult
 
-    Returns
-    -------
-    Figure
-        Seconds across.
-    """
-    times_s, scans = _timeline(result)
-    trace = {
-        "type": "scatter",
-        "mode": "lines" if len(scans) > 1 else "markers",
-        "name": "beams",
-        "x": typed(times_s),
-        "y": typed(np.array([scan.n_segments for scan in scans])),
-        "line": {"shape": "hv", "width": 2, "color": _PATH},
-        "hovertemplate": "%{x:.2f} s: %{y} beams<extra></extra>",
+def _points(result: FlightResult) -> Chart:
+    raw = _each(result.scans, lambda scan: scan.n_points_raw)
+    filtered = _each(result.scans, lambda scan: scan.n_points_filtered)
+    series = (
+        _over_time(result, "returns", _CLOUD, raw),
+        _over_time(result, "searched", _BEAM, filtered),
+    )
+    description = (
+        f"points of every scan; median {np.median(raw):.0f} returns, "
+        f"{np.median(filtered):.0f} searched"
+    )
+    return Chart("flight time [s]", "points", series, description)
+
+
+def _lines(result: FlightResult) -> Chart:
+    lines = _each(result.scans, lambda scan: scan.n_lines)
+    series = _over_time(result, "lines", _BEAM, lines)
+    description = f"lines found in every scan; {lines.mean():.1f} on average"
+    return Chart("flight time [s]", "lines found", (series,), description)
+
+
+def _size(result: FlightResult) -> Chart:
+    sizes = _each(result.scans, lambda scan: scan.n_segments)
+    series = _over_time(result, "beams", _PATH, sizes, steps=True)
+    description = f"beams known after every scan; {sizes[-1]:.0f} after the last"
+    return Chart("flight time [s]", "beams in the structure", (series,), description)
+
+
+def _gaps(result: FlightResult) -> Chart:
+    gaps_ms = _each(result.scans, lambda scan: scan.pose_gap_s * 1e3)
+    limit_ms = 1e3 * result.config.matching.max_gap_s
+    limit = Limit("x", limit_ms, "limit") if limit_ms <= 3 * gaps_ms.max() else None
+    series = Series("bars", "scans", _PATH, *histogram(gaps_ms))
+    description = f"time from every scan to its nearest pose; at most {gaps_ms.max():.1f} ms"
+    return Chart("time to the nearest pose [ms]", "scans", (series,), description, limit=limit)
+
+
+def _sigmas(beams: Sequence[Segment]) -> dict[str, tuple[str, Chart]]:
+    """Histograms of the standard deviations, as far as they are known."""
+    kinds = {
+        "sigma-offset": ("axis across", "mm", [1e3 * beam.sigma_offset for beam in beams]),
+        "sigma-angle": ("direction", "°", [beam.sigma_angle_deg for beam in beams]),
+        "sigma-end": ("ends", "mm", [1e3 * sigma for beam in beams for sigma in beam.sigma_ends]),
     }
-    layout = axes_layout("flight time [s]", "beams in the structure")
-    layout["yaxis"]["rangemode"] = "tozero"
-    return {"data": [trace], "layout": layout}
+    made = {}
+    for name, (what, unit, values) in kinds.items():
+        known = np.array(values)[np.isfinite(values)]
+        if len(known):
+            series = Series("bars", "beams", _BEAM, *histogram(known, 16))
+            description = f"standard deviations, {what}; median {np.median(known):.2g} {unit}"
+            chart = Chart(f"σ, {what} [{unit}]", "number", (series,), description)
+            made[name] = (f"Standard deviation: {what}", chart)
+    return made
+
+
+def _each(scans: Sequence[ScanRecord], value: Callable[[ScanRecord], float]) -> FloatArray:
+    return np.array([value(scan) for scan in scans], dtype=np.float64)
+
+
+def _over_time(
+    result: FlightResult, name: str, colour: str, values: FloatArray, *, steps: bool = False
+) -> Series:
+    origin = time_origin_ns(result)
+    times_s = _each(result.scans, lambda scan: (scan.stamp_ns - origin) / 1e9)
+    return Series("steps" if steps else "line", name, colour, *envelope(times_s, values))
 
 
 def _ends(segments: Sequence[Segment]) -> FloatArray:
@@ -183,61 +235,41 @@ def _ends(segments: Sequence[Segment]) -> FloatArray:
     return np.array(ends, dtype=np.float64).reshape(-1, 2, 3)
 
 
-def _cloud_trace(cloud: NDArray[np.float32]) -> dict[str, Any] | None:
-    points = cloud[np.isfinite(cloud).all(axis=1)]
-    if not len(points):
-        return None
-    return {
-        "type": "scatter3d",
-        "mode": "markers",
-        "name": "cloud",
-        "marker": {"size": 1.5, "color": _CLOUD},
-        "hoverinfo": "skip",
-        **positions(points[thinned(len(points), MAX_CLOUD_POINTS)]),
-    }
+def _radii(segments: Sequence[Segment]) -> FloatArray:
+    return np.array([segment.radius for segment in segments], dtype=np.float64)
 
 
-def _trajectory_trace(trajectory: Trajectory) -> dict[str, Any] | None:
-    places = trajectory.positions[thinned(len(trajectory), _MAX_TRAJECTORY_POINTS)]
-    if not len(places):
-        return None
-    return {
-        "type": "scatter3d",
-        "mode": "lines",
-        "name": "trajectory",
-        "line": {"width": 3, "color": _PATH},
-        "hoverinfo": "skip",
-        **positions(places),
-    }
+def _members(result: FlightResult) -> Cylinders:
+    """Draw the parts between joints, apart from one another where a beam has several."""
+    members = result.members[:MAX_BEAMS]
+    beams = [result.segments[member.segment] for member in members]
+    ends = np.array(
+        [
+            (beam.anchor + member.t_1 * beam.direction, beam.anchor + member.t_2 * beam.direction)
+            for member, beam in zip(members, beams, strict=True)
+        ]
+    ).reshape(-1, 2, 3)
+    labels = [_member_label(number, member) for number, member in enumerate(members)]
+    return Cylinders("members", _PATH, ends, _MEMBER_REACH * _radii(beams), labels, hidden=True)
 
 
-def _beams_trace(segments: Sequence[Segment]) -> dict[str, Any] | None:
-    if not segments:
-        return None
-    labels = [_beam_label(number, beam) for number, beam in enumerate(segments)]
-    return mesh_trace("beams", _BEAM, beam_mesh(segments), labels)
-
-
-def _beam_label(number: int, beam: Segment) -> str:
+def _member_label(number: int, member: Member) -> str:
+    ends = [
+        "a free end" if joint is None else f"joint {joint}"
+        for joint in (member.joint_1, member.joint_2)
+    ]
     return (
-        f"<b>beam {number}</b><br>{beam.length:.3f} m long, radius {beam.radius * 1e3:.1f} mm"
-        f"<br>{beam.n_points} points in {beam.n_scans} scans"
+        f"<b>member {number}</b><br>{member.length:.3f} m of beam {member.segment}"
+        f"<br>from {ends[0]} to {ends[1]}"
     )
 
 
-def _joints_trace(result: FlightResult) -> dict[str, Any] | None:
-    """Octahedra that stand out of the beams: a marker would be hidden inside of them."""
+def _joints(result: FlightResult) -> Marks:
     joints = result.joints[:MAX_BEAMS]
-    if not joints:
-        return None
-    centres = np.array([joint.position for joint in joints])
+    centres = np.array([joint.position for joint in joints]).reshape(-1, 3)
     radii = [max(result.segments[k].radius for k in joint.segments) for joint in joints]
-    mesh = octahedron_mesh(centres, _JOINT_REACH * np.array(radii))
     labels = [_joint_label(number, joint) for number, joint in enumerate(joints)]
-    return mesh_trace("joints", _JOINT, mesh, labels) | {
-        "flatshading": True,
-        "lighting": {"ambient": 0.75, "diffuse": 0.5},
-    }
+    return Marks("joints", _JOINT, centres, _JOINT_REACH * np.array(radii), labels)
 
 
 def _joint_label(number: int, joint: Joint) -> str:
@@ -247,46 +279,15 @@ def _joint_label(number: int, joint: Joint) -> str:
     )
 
 
-def _box(name: str, times_ms: FloatArray, colour: str) -> dict[str, Any]:
-    return {
-        "type": "box",
-        "name": name,
-        "y": typed(times_ms),
-        "boxpoints": "outliers",
-        "marker": {"size": 3, "color": colour},
-        "line": {"width": 1.5},
-        "hoverinfo": "y",
-    }
+def _places(looks: Sequence[Look]) -> Marks:
+    centres = np.array([look.place for look in looks]).reshape(-1, 3)
+    labels = [
+        f"<b>fly here again</b><br>beam {look.beam}: {', '.join(look.reasons)}" for look in looks
+    ]
+    return Marks("fly again", _AGAIN, centres, np.full(len(looks), _PLACE_REACH_M), labels)
 
 
-def _limit_line(interval_ms: float) -> dict[str, Any]:
-    return {
-        "type": "line",
-        "xref": "paper",
-        "x0": 0,
-        "x1": 1,
-        "y0": interval_ms,
-        "y1": interval_ms,
-        "line": {"dash": "dash", "width": 1.5, "color": _JOINT},
-        "label": {"text": "time between two clouds", "textposition": "start"},
-    }
-
-
-def _timeline(result: FlightResult) -> tuple[FloatArray, list[ScanRecord]]:
-    """Seconds of the flight and records of the scans that are drawn."""
-    scans = [result.scans[i] for i in thinned(len(result.scans), _MAX_SCANS)]
-    origin = time_origin_ns(result)
-    return np.array([(scan.stamp_ns - origin) / 1e9 for scan in scans]), scans
-
-
-def _processing_ms(scans: Sequence[ScanRecord]) -> FloatArray:
-    return np.array([scan.processing_us for scan in scans], dtype=np.float64) * 1e-3
-
-
-def _upper_limit(scans: Sequence[ScanRecord]) -> float:
+def _upper_limit(times_ms: FloatArray) -> float:
     """Top of a time axis: a single slow scan, such as the first, must not flatten the rest."""
-    times_ms = _processing_ms(scans)
-    if not len(times_ms):
-        return 1.0
     usual, largest = np.percentile(times_ms, (98, 100))
-    return float(1.1 * largest if largest <= 4 * usual else 2 * usual)
+    return float(1.1 * largest if largest <= 4 * usual else 2 * usual) or 1.0

@@ -94,6 +94,19 @@ class OutputFolder:
             self._staging = _make_staging(self.path, self._target)
         return self
 
+    @property
+    def staging(self) -> Path:
+        """Where the files lie until they are put in place.
+
+        Raises
+        ------
+        ValueError
+            If the folder is not open.
+        """
+        if self._staging is None:
+            raise ValueError("the output folder is not open")
+        return self._staging
+
     def write(self, name: str, content: bytes | str) -> None:
         """Add a file.
 
@@ -111,11 +124,9 @@ class OutputFolder:
         ValueError
             If the name leads out of the folder, or the folder is not open.
         """
-        if self._staging is None:
-            raise ValueError("the output folder is not open")
+        file = self.staging / name
         if not _is_safe(name):
             raise ValueError(f"{name!r} is not a name inside the folder")
-        file = self._staging / name
         with _explained(self.path / name):
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_bytes(encoded(content))

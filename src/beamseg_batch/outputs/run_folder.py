@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -32,6 +32,7 @@ from beamseg_batch.outputs.columns import (
     segments_from_columns,
     time_origin_ns,
 )
+from beamseg_batch.outputs.fly_again import FlightPlan, fly_again_columns, plan_flight
 from beamseg_batch.outputs.folder import MANIFEST, OutputFolder, encoded
 from beamseg_batch.outputs.structure_file import (
     STRUCTURE_FILE,
@@ -47,6 +48,7 @@ from beamseg_batch.outputs.summary import (
     summary_json,
 )
 from beamseg_batch.tables import (
+    FLY_AGAIN,
     INTERSECTIONS,
     JOINTS,
     MEMBERS,
@@ -59,6 +61,8 @@ from beamseg_batch.tables import (
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from beamseg_batch.pages.rendering import Section
 
 __all__ = ["Run", "WrittenRun", "check_output", "planned_files", "read_run", "write_run"]
 
@@ -178,7 +182,7 @@ class Run:
 
 
 def planned_files(config: RunConfig) -> tuple[str, ...]:
-    """Names of the files that a run with this configuration writes, sorted.
+    """Names of the files that a run with this configuration may write, sorted.
 
     Parameters
     ----------
@@ -188,7 +192,8 @@ def planned_files(config: RunConfig) -> tuple[str, ...]:
     -------
     tuple of str
     """
-    names = [*(table.file_name for table in TABLES), STRUCTURE_FILE, CONFIG_FILE, MANIFEST]
+    tables = (*TABLES, FLY_AGAIN)
+    names = [*(table.file_name for table in tables), STRUCTURE_FILE, CONFIG_FILE, MANIFEST]
     names += [REPORT_FILE] * config.outputs.report + [CANDIDATES_FILE] * config.outputs.candidates
     return tuple(sorted(names))
 
@@ -215,7 +220,13 @@ def check_output(path: Path, config: RunConfig, *, overwrite: bool = False) -> N
     OutputFolder.check(path, overwrite=overwrite, names=planned_files(config))
 
 
-def write_run(result: FlightResult, path: Path, *, overwrite: bool = False) -> WrittenRun:
+def write_run(
+    result: FlightResult,
+    path: Path,
+    *,
+    overwrite: bool = False,
+    more: Callable[[Path], Sequence[Section]] = lambda _: (),
+) -> WrittenRun:
     """Write all files of a run, or none.
 
     Parameters
@@ -225,6 +236,9 @@ def write_run(result: FlightResult, path: Path, *, overwrite: bool = False) -> W
         The output folder; it and its parents are created when they are missing.
     overwrite : bool
         Whether the files of an earlier run are replaced.
+    more : callable, optional
+        Given the folder in which the tables stand before they are put in place, it returns
+        what else is to be told in the report.
 
     Returns
     -------
@@ -237,21 +251,24 @@ def write_run(result: FlightResult, path: Path, *, overwrite: bool = False) -> W
     MissingExtraError
         If candidates are to be kept and the library for it is not installed.
     """
-    contents = _table_files(result)
+    plan = plan_flight(result)
+    contents = _table_files(result, plan)
     contents[STRUCTURE_FILE] = structure_npz(structure_arrays(result))
     contents[CONFIG_FILE] = encoded(config_yaml(result.config))
     if result.config.outputs.candidates:
         contents[CANDIDATES_FILE] = candidates_parquet(candidate_columns(result.candidates or ()))
-    files = planned_files(result.config)
+    left_out = {FLY_AGAIN.file_name} - set(contents)
+    files = tuple(name for name in planned_files(result.config) if name not in left_out)
     summary = summarise(result, files, results_sha256(contents))
-    if result.config.outputs.report:
-        from beamseg_batch.outputs.report import render_report
-
-        contents[REPORT_FILE] = encoded(render_report(result, summary))
     contents[MANIFEST] = encoded(summary_json(summary))
     with OutputFolder(path, overwrite=overwrite) as folder:
-        for name in files:
-            folder.write(name, contents[name])
+        for name, content in contents.items():
+            folder.write(name, content)
+        if result.config.outputs.report:
+            from beamseg_batch.outputs.report import render_report
+
+            report = render_report(result, summary, plan, more(folder.staging))
+            folder.write(REPORT_FILE, encoded(report))
     return WrittenRun(path, files, summary)
 
 
@@ -276,7 +293,7 @@ def read_run(folder: Path) -> Run:
     return Run(Path(folder), summary, columns)
 
 
-def _table_files(result: FlightResult) -> dict[str, bytes]:
+def _table_files(result: FlightResult, plan: FlightPlan) -> dict[str, bytes]:
     columns = {
         SEGMENTS: segment_columns(result.segments, time_origin_ns(result)),
         INTERSECTIONS: intersection_columns(result.intersections),
@@ -284,6 +301,8 @@ def _table_files(result: FlightResult) -> dict[str, bytes]:
         MEMBERS: member_columns(result.members, result.segments),
         PROCESSING_TIME: processing_time_columns(result.scans),
     }
+    if len(plan.waypoints):
+        columns[FLY_AGAIN] = fly_again_columns(plan)
     return {table.file_name: encoded(table.encode(values)) for table, values in columns.items()}
 
 

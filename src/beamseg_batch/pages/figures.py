@@ -11,7 +11,7 @@ import base64
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,9 @@ from beamseg_batch.geometry import FloatArray
 
 __all__ = [
     "ROUND_LIGHTING",
-    "Figure",
+    "VIEWS",
     "Mesh",
+    "View",
     "axes_layout",
     "cylinder_mesh",
     "mesh_trace",
@@ -32,9 +33,6 @@ __all__ = [
     "typed",
 ]
 
-Figure: TypeAlias = dict[str, Any]
-"""A plotly figure: `data`, a list of traces, and `layout`."""
-
 ROUND_LIGHTING = {"ambient": 0.55, "diffuse": 0.8, "specular": 0.2, "roughness": 0.6}
 """Light that makes a cylinder look round."""
 
@@ -43,13 +41,48 @@ _RING_SPACING_M = 0.4
 _MAX_RINGS = 8
 _MAX_VERTICES = 30_000
 
-_EYE_DIRECTION = np.array([0.66, -0.66, 0.36])
 _HALF_VIEW = np.tan(np.pi / 8)  # plotly.js sees 45 degrees
 _FILL_ACROSS, _FILL_UP = 0.8, 0.9  # of the view; the names of the axes need the rest
 _LABELS_LEFT, _LABELS_BELOW = 0.07, 0.04  # of the view: where axes are named
 _OCTAHEDRON = np.array(
     [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]]
 )
+
+
+@dataclass(frozen=True)
+class View:
+    """From where a scene is seen.
+
+    Attributes
+    ----------
+    name : str
+    towards : (float, float, float)
+        From the middle of the scene towards the eye.
+    up : (float, float, float)
+        What is up in the picture.
+    """
+
+    name: str
+    towards: tuple[float, float, float]
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+    @property
+    def axes(self) -> FloatArray:
+        """(3, 3) float64, unit rows: right and up in the picture, and towards the eye."""
+        back = np.array(self.towards) / np.linalg.norm(self.towards)
+        right = np.cross(self.up, back)
+        right /= np.linalg.norm(right)
+        return np.stack([right, np.cross(back, right), back])
+
+
+VIEWS = (
+    View("iso", (0.66, -0.66, 0.36)),
+    # Not quite from above: a turntable does not know which way to turn there.
+    View("top", (0.0, -0.001, 1.0), (0.0, 1.0, 0.0)),
+    View("front", (0.0, -1.0, 0.0)),
+    View("side", (1.0, 0.0, 0.0)),
+)
+"""The first is the one that a scene begins with."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,11 +203,15 @@ def scene_layout(shown: FloatArray) -> dict[str, Any]:
     Returns
     -------
     dict
+        Of every view of `VIEWS` the camera too, in `meta`.
     """
+    cameras = {view.name: _camera(shown, view) for view in VIEWS}
     axes = {f"{axis}axis": {"title": {"text": f"{axis} [m]"}} for axis in "xyz"}
-    scene = {"aspectmode": "data", "dragmode": "turntable", "camera": _camera(shown), **axes}
+    camera = cameras[VIEWS[0].name]
+    scene = {"aspectmode": "data", "dragmode": "turntable", "camera": camera, **axes}
     legend = {"orientation": "h", "x": 0, "y": 1, "yanchor": "bottom", "itemsizing": "constant"}
-    return {"scene": scene, "legend": legend, "margin": {"l": 0, "r": 0, "t": 36, "b": 0}}
+    margin = {"l": 0, "r": 0, "t": 36, "b": 0}
+    return {"scene": scene, "legend": legend, "margin": margin, "meta": {"cameras": cameras}}
 
 
 def axes_layout(across: str, up: str) -> dict[str, Any]:
@@ -219,7 +256,7 @@ def thinned(size: int, limit: int) -> NDArray[np.int64]:
     return np.arange(limit, dtype=np.int64) * size // max(limit, 1)
 
 
-def _camera(shown: FloatArray) -> dict[str, dict[str, float]]:
+def _camera(shown: FloatArray, view: View) -> dict[str, dict[str, float]]:
     """Where to look from, and at what, to fill the view, in the scene's own unit.
 
     With equal scales that unit is the geometric mean of the three extents of what is shown,
@@ -229,10 +266,7 @@ def _camera(shown: FloatArray) -> dict[str, dict[str, float]]:
     extent = np.maximum(np.ptp(shown, axis=0), 0.1) if len(shown) else np.ones(3)
     aspect = extent / np.cbrt(extent.prod())
     corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * aspect
-    back = _EYE_DIRECTION / np.linalg.norm(_EYE_DIRECTION)
-    right = np.cross([0.0, 0.0, 1.0], back)
-    right /= np.linalg.norm(right)
-    up = np.cross(back, right)
+    right, up, back = view.axes
     centre, distance = np.zeros(3), 2.0 * float(np.linalg.norm(aspect))
     for _ in range(30):  # nearer things look larger, so size and middle settle step by step
         seen = corners - centre
@@ -241,10 +275,13 @@ def _camera(shown: FloatArray) -> dict[str, dict[str, float]]:
         fill = max(np.ptp(across) / 2 / _FILL_ACROSS, np.ptp(upward) / 2 / _FILL_UP)
         aside = (across.max() + across.min()) / 2 - _LABELS_LEFT
         above = (upward.max() + upward.min()) / 2 - _LABELS_BELOW
-        centre += right * (aside * distance * _HALF_VIEW)
-        centre[2] += above * distance * _HALF_VIEW / up[2]
+        centre += (aside * right + above * up) * (distance * _HALF_VIEW)
         distance *= fill
-    return {"eye": _named(centre + distance * back), "center": _named(centre)}
+    return {
+        "eye": _named(centre + distance * back),
+        "center": _named(centre),
+        "up": _named(np.array(view.up)),
+    }
 
 
 def _named(position: FloatArray) -> dict[str, float]:
