@@ -7,7 +7,7 @@ compiled search once for all of them.
 import gc
 
 from beamseg_batch.config import RunConfig
-from beamseg_batch.pipeline import warm_up
+from beamseg_batch.warming import warm_up
 
 __all__: list[str] = []
 
