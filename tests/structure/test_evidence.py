@@ -13,6 +13,7 @@ from beamseg_batch.geometry import angle_between_deg, distances_to_line, normali
 from beamseg_batch.model import DepthNoise
 from beamseg_batch.structure import questions
 from beamseg_batch.structure.evidence import EvidenceStructure
+from beamseg_batch.structure.hypothesis import Beam
 from beamseg_batch.structure.pixel_rays import PixelRays
 from beamseg_batch.structure.questions import Leftovers
 from tests.detection.scans import make_scan
@@ -77,6 +78,12 @@ def offset_from(segment, beam):
     return distances_to_line(np.array([beam[0]]), segment.anchor, segment.direction)[0]
 
 
+def hypothesis_of(beam):
+    start, end = np.array(beam[0]), np.array(beam[1])
+    half = 0.5 * np.linalg.norm(end - start)
+    return Beam(0.5 * (start + end), normalised(end - start), -half, half, beam[2])
+
+
 def assert_measured(segment, beam, *, axis_m=5e-4, ends_m=5e-3):
     start, end, _ = (np.array(part) for part in beam)
     way = normalised(end - start)
@@ -126,6 +133,26 @@ def test_view__every_other_row_and_column_is_the_same_image():
     u, v = part.image[0] + 31 * part.image[1], part.image[2] + 31 * part.image[3]
     assert u == pytest.approx(whole.image[0] + 93 * whole.image[1])
     assert v == pytest.approx(whole.image[2] + 93 * whole.image[3])
+
+
+def test_ask__beams_that_are_out_of_reach_change_nothing():
+    rng = np.random.default_rng(0)
+    scans = [look(pose, [RAIL, POST], rng) for pose in POSES]
+    pixels = PixelRays()
+    pixels.learn(scans[0])
+    camera = questions.Camera(load_config("precise").filtering, NOISE, pixels)
+    seen = [hypothesis_of(beam) for beam in (RAIL, POST)]
+    away = np.array([0.0, 0.0, 20.0])
+    far = [replace(seen[0], anchor=seen[0].anchor + k * away) for k in range(1, 6)]
+    few, many = (
+        questions.AxisQuestion(beams, camera, competitors="all", tukey=4.0, flanks=True)
+        for beams in (seen, [far[0], seen[0], *far[1:], seen[1]])
+    )
+    alone, among = few.ask(scans), many.ask(scans)
+    assert alone.beams.tolist() == [0, 1]
+    assert among.beams.tolist() == [1, 6]
+    for name, values in alone.sums.items():
+        np.testing.assert_array_equal(among.sums[name], values)
 
 
 def test_PixelRays__pixels_that_return_late_are_learned_all_the_same():

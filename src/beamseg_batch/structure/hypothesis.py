@@ -259,15 +259,15 @@ class Sums:
         for name, rows in self._rows(answer.beams).items():
             getattr(self.evidence, name)[rows] += answer.sums[name]
 
-    def _rows(self, beams: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-        """Which rows of each sum belong to some beams."""
-        chosen = np.zeros(len(self.starts), np.bool_)
-        chosen[beams] = True
-        fine = np.repeat(chosen, np.diff(self.evidence.fine_at))
-        rows = dict.fromkeys(("asked", "scans", "scatter"), chosen)
-        rows |= {"flanks": chosen} if len(self.evidence.flanks) else {}
-        rows |= {"likelihood": fine, "hits": fine}
-        return rows | {"normal": np.repeat(chosen, np.diff(self.evidence.coarse_at))}
+    def _rows(self, beams: NDArray[np.int64]) -> dict[str, NDArray[np.int64]]:
+        """Which rows of each sum belong to some beams; not in the time that all of them take."""
+        fine, coarse = (
+            np.concatenate([np.arange(at[beam], at[beam + 1]) for beam in beams] or [beams[:0]])
+            for at in (self.evidence.fine_at, self.evidence.coarse_at)
+        )
+        rows = dict.fromkeys(("asked", "scans", "scatter"), beams)
+        rows |= {"flanks": beams} if len(self.evidence.flanks) else {}
+        return rows | {"likelihood": fine, "hits": fine, "normal": coarse}
 
     def fine(self, index: int) -> tuple[FloatArray, FloatArray]:
         """Log-likelihood ratios and hits of one beam, by fine bin."""

@@ -7,7 +7,8 @@ sums over scans alone; answers are added up in the order of the scans.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,7 @@ _RANGE_M = 3.0  # where a return that no beam explains may lie, for its likeliho
 _TYPICAL_DEPTH_M = 1.0
 _EXPLAINED_SIGMAS = 3.5
 _BLURRED_PIXELS = 0.75
+_ASKED_BEYOND_M = 0.5  # more than the margin beyond a beam's ends that is asked about
 _ENOUGH_PIXELS = 8000
 
 
@@ -78,6 +80,11 @@ class Camera:
         """Width of a pixel that mixes depths, typically, metres; 0 where none does."""
         pitch = self.pixels.pitch_rad if self.noise.mixed else None
         return _TYPICAL_DEPTH_M * (pitch or 0.0)
+
+    @property
+    def reach(self) -> float:
+        """How far away something in the window may be, metres."""
+        return float(np.linalg.norm(np.maximum(np.abs(self.low), np.abs(self.high))))
 
     @property
     def stride(self) -> int:
@@ -128,6 +135,25 @@ class Beams:
             "all": np.full(len(beams), len(beams)),
         }[competitors]
 
+    def near(self, scans: Sequence[Scan], reach: float) -> NDArray[np.int64]:
+        """Indices of the beams that come as near to the camera as that in some of the scans."""
+        if not scans:
+            return np.zeros(0, np.int64)
+        places = np.array([scan.T_world_sensor.translation for scan in scans])
+        middles = self.anchors + 0.5 * (self.firsts + self.lasts)[:, None] * self.directions
+        bows = np.linalg.norm(self.bows, axis=1)
+        sizes = 0.5 * (self.lasts - self.firsts) + self.radii + bows + _ASKED_BEYOND_M
+        low, high = places.min(axis=0) - reach, places.max(axis=0) + reach
+        beyond = np.maximum(np.maximum(low - middles, middles - high), 0.0)
+        return np.flatnonzero(np.einsum("ij,ij->i", beyond, beyond) <= sizes * sizes)
+
+    def part(self, indices: NDArray[np.int64]) -> Beams:
+        """Return some of the beams; who competes with whom stays the same."""
+        part = copy(self)
+        for name, values in vars(self).items():
+            setattr(part, name, values[indices])
+        return part
+
     def seen_from(self, scan: Scan, starts: FloatArray, stops: FloatArray) -> Cylinders:
         """Return the beams in the sensor frame of a scan, to be asked about on a stretch."""
         pose = scan.T_world_sensor
@@ -175,27 +201,31 @@ class AxisQuestion:
         """Nothing yet, to be added to."""
         return Sums(self.beams, flanks=self.flanks)
 
-    def ask(self, scans: Iterable[Scan]) -> Answer:
+    def ask(self, scans: Sequence[Scan]) -> Answer:
         """Ask the rays of some scans.
 
         Parameters
         ----------
-        scans : iterable of Scan
+        scans : sequence of Scan
+            The fewer beams are in view of any of them, the less work it is.
 
         Returns
         -------
         Answer
         """
-        sums, scratch = self.sums(), _Scratch()
-        alone, scores = np.zeros(len(self.beams), np.int64), np.zeros((len(self.beams), 11))
+        near = self._arrays.near(scans, self.camera.reach)
+        arrays = self._arrays.part(near)
+        sums, scratch = Sums([self.beams[k] for k in near], flanks=self.flanks), _Scratch()
+        alone, scores = np.zeros(len(near), np.int64), np.zeros((len(near), 11))
         for scan in scans:
             view = self.camera.view(scan, self.stride)
             gather(
-                view, self._arrays.seen_from(scan, sums.starts, sums.stops),
+                view, arrays.seen_from(scan, sums.starts, sums.stops),
                 sums.evidence, self.tukey, self.camera.background,
                 scratch.meetings(len(view.points)), alone, scores,
             )  # fmt: skip
-        return sums.answer()
+        answer = sums.answer()
+        return replace(answer, beams=near[answer.beams])
 
 
 class EndQuestion:
@@ -291,7 +321,7 @@ class LeftoverQuestion:
 
     def _unexplained(self, scan: Scan) -> FloatArray:
         """Returns in the window and above the floor that lie on no beam, world frame."""
-        camera, beams = self.camera, self._arrays
+        camera = self.camera
         if camera.thin:
             scan = thin_foreground(
                 scan, camera.thickest, camera.high[0], camera.noise, camera.floor
@@ -301,6 +331,7 @@ class LeftoverQuestion:
         world = scan.T_world_sensor.apply(points[inside])
         world = world[world[:, 2] >= camera.floor]
         reach = _EXPLAINED_SIGMAS * camera.sigma
+        beams = self._arrays.part(self._arrays.near([scan], camera.reach))
         explained = on_cylinders(
             world, beams.anchors, beams.directions, beams.firsts, beams.lasts,
             beams.bows, beams.radii, reach,
