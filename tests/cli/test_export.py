@@ -72,7 +72,7 @@ def test_export__refuses_in_one_line(refused, run_folder, tmp_path, monkeypatch)
     (tmp_path / "s.json").touch()
     assert "--overwrite" in refused(2, "export", run_folder, "--to", tmp_path / "s.json")
     monkeypatch.setitem(sys.modules, "ezdxf", None)
-    line = refused(1, "export", run_folder, "--to", tmp_path / "s.dxf")
+    line = refused(2, "export", run_folder, "--to", tmp_path / "s.dxf")
     assert line.endswith("pip install 'beamseg-batch[export]'")
 
 
@@ -178,7 +178,7 @@ def test_view__a_picture_that_cannot_be(refused, run_folder, tmp_path, monkeypat
     (tmp_path / "a.png").touch()
     assert "--overwrite" in refused(2, "view", run_folder, "--screenshot", tmp_path / "a.png")
     monkeypatch.setitem(sys.modules, "open3d", None)
-    line = refused(1, "view", run_folder, "--screenshot", tmp_path / "b.png")
+    line = refused(2, "view", run_folder, "--screenshot", tmp_path / "b.png")
     assert "a picture needs Open3D" in line
     assert not (tmp_path / "b.png").exists()
 

@@ -222,6 +222,19 @@ def test_plan_flight__no_more_than_can_be_flown(monkeypatch):
     assert plan.total == 3
 
 
+def test_plan_flight__looks_from_nearby_whatever_the_window():
+    window = FilteringConfig.model_validate({"window": {"x": [-1e6, 1e6]}}).window
+    filtering = CONFIG.filtering.model_copy(update={"window": window})
+    config = CONFIG.model_copy(update={"filtering": filtering})
+    (look,) = plan_flight(flight_of(POST, config=config)).looks
+    assert np.linalg.norm(look.place - POST.end_2) < 2.5
+
+
+def test_plan_flight__does_not_look_along_ways_without_end():
+    (look,) = plan_flight(flight_of(POST, path=((-1e7, 0, 1), (1e7, 5e6, 1)))).looks
+    assert look.place is None
+
+
 def test_plan_flight__without_a_path():
     none = Trajectory(np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty((0, 4)))
     plan = plan_flight(dataclasses.replace(flight_of(POST), trajectory=none))

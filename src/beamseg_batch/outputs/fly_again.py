@@ -26,6 +26,7 @@ _LOWEST_M = 0.3
 _MOST_ALONG = 0.8  # cosine between view and beam
 _ALONG_COSTS_M = 3.0  # of distance from the flown path, for a view along the beam
 _STEP_M = 0.2
+_FURTHEST_M = 100.0  # of a way that is looked at closely
 _PATH_STEP_M = 0.25
 _LEAST_S = 2.0
 _MOST_TRIED = 24  # places a target, of those that keep their distance
@@ -204,7 +205,8 @@ class _Space:
 
     def _candidates(self, target: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Places of the drone that show a target, their yaws, and the views from them."""
-        low, high = self._window.x
+        high = max(self._window.x[1], 0.0)
+        low = min(max(self._window.x[0], 0.0), high, _MAX_DISTANCE_M)
         depth = min(high, low + _MAX_DISTANCE_M) - low
         rows = [(yaw, low + s * depth, rise) for s in _SHARES for rise in _RISES for yaw in _YAWS]
         yaws, distances, rises = np.array(rows).T
@@ -222,6 +224,8 @@ class _Space:
 
     def _is_clear(self, start: FloatArray, goal: FloatArray) -> bool:
         """Whether a straight way keeps its distance from every beam."""
+        if np.linalg.norm(goal - start) > _FURTHEST_M:
+            return False
         return bool(self._are_free(_between(start, goal, _STEP_M)).all())
 
     def _sees(self, place: FloatArray, look: Look) -> bool:
