@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from beamseg_batch.foreground import thin_foreground
-from beamseg_batch.foreground_kernels import free_pixels
+from beamseg_batch.foreground_kernels import free_pixels, row_pitch, surveyed
 from beamseg_batch.model import DepthNoise
 from tests.detection.scans import make_scan
 from tests.rays import camera_rays, seen_depths
@@ -155,3 +155,30 @@ def test_free_pixels__agrees_with_its_twin(seed):
     free = free_pixels(depths, wanted, 0.03, 0.1, jump)
     assert 0 < free.sum() < wanted.sum()
     np.testing.assert_array_equal(free, naive_free(depths, wanted, 0.03, 0.1, jump))
+
+
+@pytest.mark.parametrize("run", [row_pitch, row_pitch.py_func])
+def test_row_pitch__is_the_angle_between_neighbours(run):
+    scan, _ = view(POST, wall=1.4)
+    rows = scan.points.reshape(SIZE, SIZE, 3).astype(np.float64)
+    rays = rows / np.linalg.norm(rows, axis=2)[..., None]
+    steps = np.linalg.norm(np.diff(rays, axis=1), axis=2)
+    assert run(rows) == pytest.approx(np.nanmedian(steps))
+    rows[:, ::2] = np.nan
+    assert np.isnan(run(rows))
+
+
+@pytest.mark.parametrize("run", [surveyed, surveyed.py_func])
+def test_surveyed__agrees_with_its_twin(run):
+    rng = np.random.default_rng(3)
+    points = rng.normal([1.2, 0.0, 0.0], 0.4, (12, 9, 3))
+    points[rng.random((12, 9)) < 0.2] = np.nan
+    up = np.array([0.6, 0.0, 0.8])
+    depths, wanted, jump = run(points, 1.5, up, 0.5, 0.06, 0.01, 0.05)
+    forward = points[..., 0]
+    np.testing.assert_allclose(depths, np.linalg.norm(points, axis=2))
+    with np.errstate(invalid="ignore"):
+        np.testing.assert_array_equal(wanted, (forward <= 1.5) & (points @ up >= 0.5))
+    seen = np.isfinite(depths)
+    least = np.maximum(0.06, np.hypot(0.01, 0.05 * forward))
+    np.testing.assert_allclose(jump[seen], least[seen])

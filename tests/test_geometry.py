@@ -21,6 +21,7 @@ from beamseg_batch.geometry import (
     matrix_from_rpy,
     normalised,
     project_onto_line,
+    unknown,
 )
 from tests import naive
 
@@ -221,3 +222,10 @@ def test_covariance_along__is_that_of_the_sum(t):
     covariance = root @ root.T
     shift = np.hstack([np.eye(3), t * np.eye(3)])
     np.testing.assert_allclose(covariance_along(covariance, t), shift @ covariance @ shift.T)
+
+
+def test_unknown__is_nan_and_stays_so():
+    assert np.isnan(unknown((2, 3))).all()
+    assert unknown(3) is unknown(3)
+    with pytest.raises(ValueError, match="read-only"):
+        unknown(3)[0] = 1.0

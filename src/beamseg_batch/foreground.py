@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamseg_batch.bearings import bearing_image
-from beamseg_batch.foreground_kernels import free_pixels
-from beamseg_batch.geometry import FloatArray
+from beamseg_batch.foreground_kernels import free_pixels, row_pitch, surveyed
 from beamseg_batch.model import DepthNoise, Scan
 
 __all__ = ["thin_foreground"]
@@ -17,6 +16,7 @@ __all__ = ["thin_foreground"]
 _WIDEST = 2.2  # radii
 _LEAST_JUMP_M = 0.06
 _JUMP_SIGMAS = 5.0
+_PITCH_ROWS = 8
 
 
 def thin_foreground(
@@ -75,30 +75,14 @@ def _free(
     """Pixels of an image that show something thin that stands free."""
     if scan.height < 3 or scan.width < 3:
         return np.ones(len(scan.points), np.bool_)
-    points = np.asarray(scan.points, np.float64)
-    depths = np.sqrt(np.einsum("ij,ij->i", points, points))
-    pitch = _pitch(points.reshape(scan.height, scan.width, 3))
+    shape = (scan.height, scan.width)
+    points = np.array(scan.points, np.float64).reshape(*shape, 3)
+    pitch = row_pitch(points[:: max(len(points) // _PITCH_ROWS, 1)].copy())
     if not pitch > 0.0:
         return np.ones(len(scan.points), np.bool_)
-    forward = np.where(np.isfinite(depths), points[:, 0], 0.0)
-    jump = np.maximum(
-        _LEAST_JUMP_M, _JUMP_SIGMAS * np.hypot(noise.constant, noise.relative * forward)
-    )
-    with np.errstate(invalid="ignore"):
-        heights = points @ scan.T_world_sensor.rotation[2] + scan.T_world_sensor.translation[2]
-        wanted = (depths > 0.0) & (depths < np.inf) & (forward <= reach) & (heights >= floor)
-    shape = (scan.height, scan.width)
-    return free_pixels(
-        depths.reshape(shape), wanted.reshape(shape), pitch, width, jump.reshape(shape)
-    ).ravel()
-
-
-def _pitch(grid: FloatArray) -> float:
-    """Angle from a pixel to the next along a row, radians; NaN if that cannot be told."""
-    few = grid[:: max(len(grid) // 8, 1)]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        rays = few / np.sqrt(np.einsum("ijk,ijk->ij", few, few))[..., None]
-    steps = np.diff(rays, axis=1)
-    squared = np.einsum("ijk,ijk->ij", steps, steps)
-    squared = squared[np.isfinite(squared)]
-    return float(np.sqrt(np.median(squared))) if len(squared) else np.nan
+    pose = scan.T_world_sensor
+    depths, wanted, jump = surveyed(
+        points, reach, pose.rotation[2].copy(), floor - float(pose.translation[2]),
+        _LEAST_JUMP_M, _JUMP_SIGMAS * noise.constant, _JUMP_SIGMAS * noise.relative,
+    )  # fmt: skip
+    return free_pixels(depths, wanted, pitch, width, jump).ravel()

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from beamseg_batch.accelerate import kernel
 from beamseg_batch.geometry import FloatArray
 
-__all__ = ["free_pixels"]
+__all__ = ["free_pixels", "row_pitch", "surveyed"]
 
 _WAYS = np.array([[0, 1], [1, 0], [1, 1], [1, -1]])
 
@@ -79,3 +79,76 @@ def free_pixels(
                     free[row, column] = True
                     break
     return free
+
+
+@kernel
+def row_pitch(rows: FloatArray) -> float:
+    """Angle from a pixel to the next along a row, the median of some rows.
+
+    Parameters
+    ----------
+    rows : (H, W, 3) float64, metres
+        Not finite where nothing returned.
+
+    Returns
+    -------
+    float, radians
+        NaN if no two neighbours returned.
+    """
+    squares = np.empty(rows.shape[0] * rows.shape[1])
+    count = 0
+    for row in range(rows.shape[0]):
+        before = np.full(3, np.nan)
+        for column in range(rows.shape[1]):
+            x, y, z = rows[row, column, 0], rows[row, column, 1], rows[row, column, 2]
+            length = np.sqrt(x * x + y * y + z * z)
+            x, y, z = x / length, y / length, z / length
+            squared = (x - before[0]) ** 2 + (y - before[1]) ** 2 + (z - before[2]) ** 2
+            if np.isfinite(squared):
+                squares[count] = squared
+                count += 1
+            before[0], before[1], before[2] = x, y, z
+    return float(np.sqrt(np.median(squares[:count]))) if count else np.nan
+
+
+@kernel
+def surveyed(
+    points: FloatArray, reach: float, up: FloatArray, floor: float,
+    least: float, constant: float, relative: float,
+) -> tuple[FloatArray, NDArray[np.bool_], FloatArray]:  # fmt: skip
+    """What `free_pixels` is to be told of an image.
+
+    Parameters
+    ----------
+    points : (H, W, 3) float64, metres, x forward
+        Not finite where nothing returned.
+    reach : float, metres
+        What is further ahead is not asked.
+    up : (3,) float64
+        Direction of the world's z axis.
+    floor : float, metres
+        What is lower along it, from the camera, is not asked.
+    least, constant : float, metres
+    relative : float
+        A jump is the least one, and at least the root of the sum of the squares of the
+        constant part and of that share of the forward depth.
+
+    Returns
+    -------
+    depths : (H, W) float64, metres
+    wanted : (H, W) bool
+    jump : (H, W) float64, metres
+    """
+    height, width = points.shape[:2]
+    depths, jump = np.empty((height, width)), np.empty((height, width))
+    wanted = np.empty((height, width), np.bool_)
+    for row in range(height):
+        for column in range(width):
+            x, y, z = points[row, column, 0], points[row, column, 1], points[row, column, 2]
+            depth = np.sqrt(x * x + y * y + z * z)
+            depths[row, column] = depth
+            seen = np.isfinite(depth)
+            high = up[0] * x + up[1] * y + up[2] * z >= floor
+            wanted[row, column] = seen and depth > 0.0 and x <= reach and high
+            jump[row, column] = max(least, np.hypot(constant, relative * x)) if seen else least
+    return depths, wanted, jump

@@ -7,6 +7,7 @@ unit direction, so the parameter ``t`` along it is metres.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -29,9 +30,28 @@ __all__ = [
     "normalised",
     "parabola",
     "project_onto_line",
+    "unknown",
 ]
 
 FloatArray = NDArray[np.float64]
+
+
+@cache
+def unknown(shape: int | tuple[int, ...]) -> FloatArray:
+    """Array of NaN: numbers that nobody knows yet, or not at all.
+
+    Parameters
+    ----------
+    shape : int or tuple of int
+
+    Returns
+    -------
+    float64 array
+        Read only, and one and the same for everyone who asks.
+    """
+    array = np.full(shape, np.nan)
+    array.flags.writeable = False
+    return array
 
 
 def _points_3d(points: FloatArray) -> FloatArray:

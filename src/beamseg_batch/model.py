@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamseg_batch.config import RunConfig
-from beamseg_batch.geometry import FloatArray, RigidTransform, covariance_along, parabola
+from beamseg_batch.geometry import FloatArray, RigidTransform, covariance_along, parabola, unknown
 from beamseg_batch.section import Section
 
 __all__ = [
@@ -239,7 +239,7 @@ class CrossSection:
 
     shape: str = "round"
     size: Section | None = None
-    across: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    across: FloatArray = field(default_factory=lambda: unknown(3))
     name: str = ""
     confidence: float = np.nan
 
@@ -342,12 +342,12 @@ class Segment:
     n_scans: int = 1
     first_seen_ns: int = 0
     last_seen_ns: int = 0
-    covariance: FloatArray = field(default_factory=lambda: np.full((6, 6), np.nan))
+    covariance: FloatArray = field(default_factory=lambda: unknown((6, 6)))
     measured_radius: float = np.nan
     sigma_radius: float = np.nan
-    sigma_ends: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
+    sigma_ends: FloatArray = field(default_factory=lambda: unknown(2))
     ends_seen: tuple[bool, bool] | None = None
-    bow_vector: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    bow_vector: FloatArray = field(default_factory=lambda: unknown(3))
     sigma_bow: float = np.nan
     cross_section: CrossSection = field(default_factory=CrossSection)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from beamseg_batch.cylinder.evidence_kernels import COARSE, FINE, NORMAL_COLUMNS, Evidence
 from beamseg_batch.cylinder.ray_kernels import perpendiculars
-from beamseg_batch.geometry import FloatArray, covariance_along, parabola
+from beamseg_batch.geometry import FloatArray, covariance_along, parabola, unknown
 from beamseg_batch.model import CrossSection
 
 __all__ = ["Answer", "Beam", "Sums", "normal_matrices", "normal_matrix"]
@@ -98,15 +98,15 @@ class Beam:
     scans: int = 0
     first_seen_ns: int = 0
     last_seen_ns: int = 0
-    covariance: FloatArray = field(default_factory=lambda: np.full((6, 6), np.nan))
+    covariance: FloatArray = field(default_factory=lambda: unknown((6, 6)))
     reduced_chi2: float = 1.0
     free_radius: float = np.nan
     sigma_radius: float = np.nan
     growth: FloatArray = field(default_factory=lambda: np.zeros(4))
     snapped: tuple[bool, bool] = (False, False)
-    sigma_ends: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
+    sigma_ends: FloatArray = field(default_factory=lambda: unknown(2))
     ends_seen: tuple[bool, bool] | None = None
-    measured_bow: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    measured_bow: FloatArray = field(default_factory=lambda: unknown(3))
     sigma_bow: float = np.nan
     stiff: bool = False
     flanks: FloatArray = field(default_factory=lambda: np.zeros((3, 2)))
