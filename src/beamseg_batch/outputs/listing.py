@@ -20,6 +20,8 @@ _LABELS: Mapping[str, str] = {
     "sigma_end_2": "σ end 2",
     "sigma_bow": "σ bow",
     "sigma_radius": "σ radius",
+    "section_confidence": "confidence",
+    "measured_radius": "measured radius",
     "sigma_x": "σ x",
     "sigma_y": "σ y",
     "sigma_z": "σ z",
