@@ -21,7 +21,9 @@ START, END = np.array([1.0, 2.0, 3.0]), np.array([2.0, 2.5, 4.0])
 
 def columns_of(section: Section, roll_deg: float = 20.0, bow: float = 0.0) -> dict:
     """Columns of `segments.csv` with one beam, as a version that knows sections writes them."""
+    turned = Member("", START, END, section, np.radians(roll_deg)).rotation
     values = {"segment": 0, "radius": section.radius, "t_min": 0.0, "bow": bow}
+    values |= {f"bow_{axis}": bow * turned[k, 1] for k, axis in enumerate("xyz")}
     values["length"] = values["t_max"] = float(np.linalg.norm(END - START))
     values |= {f"{axis}1": START[k] for k, axis in enumerate("xyz")}
     values |= {f"{axis}2": END[k] for k, axis in enumerate("xyz")}
@@ -77,6 +79,13 @@ def test_beams_of__tables_without_sections(run):
     for beam, segment in zip(beams, run.segments, strict=True):
         np.testing.assert_allclose(beam.nodes, [segment.end_1, segment.end_2], atol=1e-12)
         assert beam.section == Section("round", 2 * segment.radius, 2 * segment.radius)
+
+
+@pytest.mark.parametrize(("bow", "sigma", "nodes"), [(0.0015, 1e-4, 2), (0.004, 0.001, 2)])
+def test_beams_of__a_bow_that_is_small_or_unsure_is_none(bow, sigma, nodes):
+    columns = columns_of(SECTIONS["round"], bow=bow) | {"sigma_bow": np.array([sigma])}
+    (bar,) = beams_of(columns)
+    assert len(bar.nodes) == nodes
 
 
 def test_bars_of__members_lie_on_their_bowed_beam():

@@ -45,7 +45,7 @@ def make_segment(rng: np.random.Generator, **changes: Any) -> Segment:
         "covariance": make_covariance(rng, 6),
         "measured_radius": 0.0507,
         "sigma_radius": rng.uniform(0.0001, 0.002),
-        "bow_vector": rng.normal(0.0, 0.01, 3),
+        "bow_vector": rng.normal(0.0, 0.0003, 3),
         "sigma_bow": rng.uniform(0.0001, 0.01),
         "sigma_ends": rng.uniform(0.0001, 0.01, 2),
         "ends_seen": (bool(rng.integers(2)), bool(rng.integers(2))),

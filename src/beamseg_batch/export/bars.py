@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
 
 from beamseg_batch.geometry import FloatArray
+from beamseg_batch.model import BENT_M, BENT_SIGMAS
 from beamseg_batch.tables import MEMBERS, SEGMENTS, ColumnArrays
 from beamseg_batch.world.scene import Member as Chord
 from beamseg_batch.world.scene import Section, Shape
@@ -40,8 +41,10 @@ class Bar:
         The axis, from end to end: two nodes, more if the beam is bowed.
     rotation : (3, 3) float64
         The section's u, v and the direction of the axis, as columns.
-    roll_deg, bow : float, degrees and metres
-        Turn of the section about the axis, and deviation of the whole beam from its chord.
+    roll_deg : float, degrees
+        Turn of the section about the axis.
+    bow : (3,) float64, metres
+        By how much the whole beam leaves its chord, midway; zero if it is straight.
     """
 
     number: int
@@ -51,7 +54,7 @@ class Bar:
     nodes: FloatArray
     rotation: FloatArray
     roll_deg: float = 0.0
-    bow: float = 0.0
+    bow: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     @property
     def start(self) -> FloatArray:
@@ -94,10 +97,10 @@ def bars_of(tables: Mapping[str, ColumnArrays], parts: Parts) -> list[Bar]:
         beam = beams[beam_number]
         if beam.length == 0.0 or columns["t2"][i] <= columns["t1"][i]:
             continue
-        if beam.bow:
+        if beam.bow.any():
             t_min, length = segments["t_min"][beam_number], segments["length"][beam_number]
             shares = [(columns[name][i] - t_min) / length for name in ("t1", "t2")]
-            nodes = _bowed(beam.start, beam.end, beam.bow * beam.rotation[:, 1], *shares)
+            nodes = _bowed(beam.start, beam.end, beam.bow, *shares)
         else:
             nodes = np.array([_point(columns, i, 1), _point(columns, i, 2)])
         bars.append(replace(beam, number=i, nodes=nodes))
@@ -122,12 +125,20 @@ def _beam(columns: ColumnArrays, i: int) -> Bar:
     start, end = _point(columns, i, 1), _point(columns, i, 2)
     radius = float(columns["radius"][i])
     section = _section(columns, i, radius)
-    roll_deg, bow = _number(columns, "roll_deg", i), _number(columns, "bow", i)
+    roll_deg, bow = _number(columns, "roll_deg", i), _bow(columns, i)
     if not np.any(end != start):
         return Bar(i, i, radius, section, np.array([start, end]), np.eye(3))
-    chord = Chord("", start, end, section, math.radians(roll_deg), bow)
-    nodes = _bowed(start, end, bow * chord.rotation[:, 1]) if bow else np.array([start, end])
+    chord = Chord("", start, end, section, math.radians(roll_deg))
+    nodes = _bowed(start, end, bow) if bow.any() else np.array([start, end])
     return Bar(i, i, radius, section, nodes, chord.rotation, roll_deg, bow)
+
+
+def _bow(columns: ColumnArrays, i: int) -> FloatArray:
+    """Deviation of a beam from its chord, where it is too large for a straight one."""
+    bow = np.array([_number(columns, f"bow_{axis}", i) for axis in "xyz"])
+    size = float(np.linalg.norm(bow))
+    is_bent = size > max(BENT_M, BENT_SIGMAS * _number(columns, "sigma_bow", i))
+    return bow if is_bent else np.zeros(3)
 
 
 def _section(columns: ColumnArrays, i: int, radius: float) -> Section:

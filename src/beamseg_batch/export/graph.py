@@ -109,5 +109,5 @@ def _member(bar: Bar, section: str, ends: list[str]) -> dict[str, Any]:
         "section": section,
         "axis_u": bar.rotation[:, 0].tolist(),
         "roll_deg": bar.roll_deg,
-        "bow": bar.bow,
+        "bow": float(np.linalg.norm(bar.bow)),
     }
