@@ -144,12 +144,15 @@ def refine_structure(
 
 
 def _find_sections(structure: EvidenceStructure, flight: Flight, workers: Workers) -> None:
-    """Ask the rays near each beam for its cross-section."""
-    question, near = structure.section_question(), NearRays()
-    for _, samples in workers.map(question.ask, _batches(flight)):
-        near.add(samples)
-    found = workers.map(structure.section_trial(), structure.beams_with(near))
-    structure.set_sections([beam for _, beam in found])
+    """Ask the rays near each beam for its cross-section, and then those along its own axis."""
+    for measure in (structure.section_trial, structure.section_refit):
+        question, near = structure.section_question(), NearRays()
+        for _, samples in workers.map(question.ask, _batches(flight)):
+            near.add(samples)
+        found = workers.map(measure(), structure.beams_with(near))
+        structure.set_sections([beam for _, beam in found])
+        if not structure.has_sections:
+            break
 
 
 def _search_leftovers(

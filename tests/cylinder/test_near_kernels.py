@@ -48,8 +48,8 @@ def wanted(scene, j):
         behind = (depth - foot) * across
         if behind >= -REACH:
             noise = np.hypot(scene.noise[0], scene.noise[1] * x[0]) / w[0] * across
-            found.append((abs(apart), behind, noise, s))
-    return np.array(found).reshape(-1, 4)
+            found.append((abs(apart), behind, noise, s, w @ b / across))
+    return np.array(found).reshape(-1, 5)
 
 
 @pytest.mark.parametrize("organised", [True, False])
@@ -65,6 +65,7 @@ def test_gather_near__agrees_with_its_twin(organised, compiled):
         np.testing.assert_allclose(rays[:, 3], want[:, 1], atol=1e-6)
         np.testing.assert_allclose(rays[:, 4], want[:, 2], atol=1e-6)
         np.testing.assert_allclose(rays[:, 5], want[:, 3], atol=1e-6)
+        np.testing.assert_allclose(rays[:, 9], want[:, 4], atol=1e-6)
         assert ((rays[:, 8] >= 0.0) & (rays[:, 8] < 1.0)).all()
 
 

@@ -7,12 +7,13 @@ import pytest
 
 from beamseg_batch.cylinder.section_kernels import (
     descend,
+    ended_costs,
     enter_section,
     normal_equations,
     ray_costs,
 )
 from beamseg_batch.section import SHAPES, Section
-from tests.section_rays import REACH, WORST, entries, rays_at
+from tests.section_rays import REACH, WORST, entries, first_of_solid, rays_at
 
 SECTIONS = {
     "round": Section("round", 0.1, 0.1),
@@ -44,7 +45,7 @@ def test_enter_section__agrees_with_its_twin(shape, compiled):
     turns = rng.uniform(0.0, 2.0 * np.pi, 300)
     x, d = rng.uniform(-0.08, 0.08, (300, 2)), np.stack([np.cos(turns), np.sin(turns)], axis=1)
     x -= 0.3 * d  # from outside
-    got = [enter(SHAPES.index(shape), p, *x[k], *d[k]) for k in range(300)]
+    got = [enter(SHAPES.index(shape), p, *x[k], *d[k], -np.inf) for k in range(300)]
     along = np.array([depth for depth, _ in got])
     np.testing.assert_allclose(along, entries(section, x, d), atol=1e-12)
     assert np.isfinite(along).any()
@@ -56,9 +57,9 @@ def test_enter_section__agrees_with_its_twin(shape, compiled):
 def test_enter_section__along_a_side(shape):
     p = parameters(SECTIONS[shape], roll=0.0, centre=(0.0, 0.0))
     number = SHAPES.index(shape)
-    assert enter_section(number, p, 0.0, -1.0, 0.0, 1.0)[0] == pytest.approx(0.94)
-    assert enter_section(number, p, 0.2, -1.0, 0.0, 1.0)[0] == np.inf
-    assert enter_section(number, p, -1.0, 0.2, 1.0, 0.0)[0] == np.inf
+    assert enter_section(number, p, 0.0, -1.0, 0.0, 1.0, -np.inf)[0] == pytest.approx(0.94)
+    assert enter_section(number, p, 0.2, -1.0, 0.0, 1.0, -np.inf)[0] == np.inf
+    assert enter_section(number, p, -1.0, 0.2, 1.0, 0.0, -np.inf)[0] == np.inf
 
 
 @pytest.mark.parametrize("compiled", [True, False])
@@ -81,6 +82,36 @@ def test_ray_costs__agree_with_their_twin(shape, compiled):
     assert total == pytest.approx(costs.sum())
 
 
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_ended_costs__agree_with_a_solid(shape, compiled):
+    section, ends = SECTIONS[shape], (-0.05, 0.08)
+    rays = rays_at(section, scans=30, each=20, noise=0.01, ends=ends, reach_along=0.15)
+    rays[:, 3] += np.random.default_rng(2).normal(0.0, 0.02, len(rays))
+    p, costs = parameters(section), np.empty(len(rays))
+    run = ended_costs if compiled else ended_costs.py_func
+    run(SHAPES.index(shape), p, rays, REACH, WORST, *ends, costs)
+    x = rays[:, 2:3] * np.stack([-rays[:, 1], rays[:, 0]], axis=1) - (0.01, -0.015)
+    turn = np.array([[np.cos(0.4), -np.sin(0.4)], [np.sin(0.4), np.cos(0.4)]])
+    solid = x @ turn, rays[:, :2] @ turn, rays[:, 5], rays[:, 9], ends
+    depths = first_of_solid(section, *solid)
+    with np.errstate(invalid="ignore"):
+        squares = np.minimum(0.5 * ((rays[:, 3] - depths) / rays[:, 4]) ** 2, WORST)
+    missed = np.where(rays[:, 3] < REACH, WORST, 0.0)
+    wanted = np.where(np.isinf(depths), missed, squares)
+    alike = np.isclose(costs, wanted, atol=0.4)  # the solid is met at steps of a millimetre
+    assert alike.mean() > 0.98
+    assert np.isfinite(depths).sum() > 30
+
+
+def test_ray_costs__of_an_axis_that_leans():
+    slopes = (0.06, -0.03)
+    rays = rays_at(SECTIONS["i"], scans=30, each=20, noise=0.002, slopes=slopes)
+    p, costs = parameters(SECTIONS["i"]), np.empty(len(rays))
+    p[7:9] = slopes
+    assert ray_costs(2, p, rays, REACH, WORST, costs) < 0.7 * len(rays)
+
+
 def test_ray_costs__a_pixel_at_the_outline_may_hold_something_else():
     rays = rays_at(SECTIONS["square"], roll=0.0, centre=(0.0, 0.0), scans=2, each=1)
     rays[:, :2], rays[:, 2], rays[:, 3], costs = (1.0, 0.0), (0.0595, 0.03), 0.5, np.empty(2)
@@ -93,7 +124,7 @@ def test_ray_costs__a_pixel_at_the_outline_may_hold_something_else():
 
 
 def test_ray_costs__a_grazed_surface_may_send_nothing_back():
-    rays, costs = np.zeros((2, 9)), np.empty(2)
+    rays, costs = np.zeros((2, 10)), np.empty(2)
     angle = np.arcsin(0.1)  # against the upper side
     rays[:, :2], rays[:, 4] = (np.cos(angle), -np.sin(angle)), 0.01
     rays[:, 2] = 0.06 * np.cos(angle)
@@ -124,7 +155,7 @@ def test_descend__leaves_what_is_possible(shape):
     p = parameters(SECTIONS[shape])
     descend(SHAPES.index(shape), p, np.eye(9), 0.5, 0.1, rays, REACH, WORST)
     assert min(p[1] - p[0], p[3] - p[2]) >= 0.02
-    assert max(abs(p[7]), abs(p[8])) <= 0.05
+    assert max(abs(p[7]), abs(p[8])) <= 0.12
 
 
 @pytest.mark.parametrize("compiled", [True, False])
@@ -137,7 +168,9 @@ def test_normal_equations__agree_with_differences(compiled):
 
     def depths(offset, slopes):
         x = rays[:, 2:3] * turns - (0.01, -0.015) - offset - rays[:, 5:6] * np.array(slopes)
-        return entries(section, x, rays[:, :2])
+        d = rays[:, :2] - rays[:, 9:10] * np.array(slopes)
+        stretch = np.linalg.norm(d, axis=1)
+        return entries(section, x, d / stretch[:, None]) / stretch
 
     rays[:, 3] = depths(np.zeros(2), (0.0, 0.0)) + 0.004
     cos, sin = np.cos(0.4), np.sin(0.4)

@@ -145,6 +145,17 @@ def test_section_trial__no_name_where_two_sizes_fit_alike():
     assert found(rays_at(TUBE), catalogue).cross_section.name == ""
 
 
+@pytest.mark.parametrize("section", [TUBE, I_BEAM, ANGLE])
+def test_section_trial__an_axis_that_leans(section):
+    slopes = np.array([0.07, -0.05])  # five degrees: a flange was taken for the beam
+    start, beam = a_beam(), found(rays_at(section, centre=CENTRE, slopes=slopes))
+    u, v = start.normals
+    direction = start.direction + slopes[0] * u + slopes[1] * v
+    assert beam.cross_section.shape == section.shape
+    assert beam.direction @ direction / np.linalg.norm(direction) > np.cos(np.radians(0.2))
+    assert np.linalg.norm(beam.anchor - start.anchor - CENTRE[0] * u - CENTRE[1] * v) < 0.003
+
+
 def test_fit_standard__keeps_the_size():
     rays = rays_at(TUBE)
     (fit,) = fit_sections(rays, REACH, WORST, ["square"])

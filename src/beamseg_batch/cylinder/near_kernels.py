@@ -24,10 +24,11 @@ from beamseg_batch.geometry import FloatArray
 
 __all__ = ["RAY_COLUMNS", "BesideBeams", "gather_near"]
 
-RAY_COLUMNS = 9
+RAY_COLUMNS = 10
 """Direction across the axis (2), distance of the ray from the axis, how far behind the point
 nearest to the axis it returned, noise of that, place along the axis, distance to its pixel's
-outer thirds, number of the scan, and a number as if drawn from 0 to 1."""
+outer thirds, number of the scan, a number as if drawn from 0 to 1, and how far the ray runs
+along the axis for each metre across it."""
 
 _FAR = 9.0
 _NEIGHBOUR = 2.0  # radii of another beam within which a ray says nothing of this one
@@ -109,7 +110,7 @@ def gather_near(
         As `beamseg_batch.cylinder.meeting_kernels.sights` fills it.
     most : int
         Rays of one beam, of which some may turn out to be of no use.
-    rays : (M * most, 9) float64
+    rays : (M * most, 10) float64
         Filled, beam after beam; see `RAY_COLUMNS`. A ray without return has returned from
         infinitely far. Rays that returned before the beam are left out.
     counts : (M,) int64
@@ -159,7 +160,8 @@ def gather_near(
             foot = (du * au + dv * av) / across
             if abs(beside) > reach or foot <= reach:
                 continue
-            s = foot * (wx * b[0] + wy * b[1] + wz * b[2]) - ab
+            wb = wx * b[0] + wy * b[1] + wz * b[2]
+            s = foot * wb - ab
             x, y, z = foot * wx, foot * wy, foot * wz
             behind = (depth - foot) * across
             if not (begin <= s <= end and behind >= -reach and counts_at(view, x, y, z)):
@@ -171,7 +173,7 @@ def gather_near(
             ray[3] = min(behind, _FAR) if np.isfinite(depth) else np.inf
             ray[4] = ray_noise(view, x, wx) * across
             ray[5], ray[6] = s, 4.0 / 9.0 * view.blur * foot
-            ray[7], ray[8] = scan, _drawn(scan, k)
+            ray[7], ray[8], ray[9] = scan, _drawn(scan, k), wb / across
             total += 1
         counts[j] = total - first
     return total

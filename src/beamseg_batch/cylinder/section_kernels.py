@@ -20,7 +20,15 @@ from numpy.typing import NDArray
 from beamseg_batch.accelerate import kernel
 from beamseg_batch.geometry import FloatArray
 
-__all__ = ["PARAMETERS", "ROUND", "descend", "enter_section", "normal_equations", "ray_costs"]
+__all__ = [
+    "PARAMETERS",
+    "ROUND",
+    "descend",
+    "ended_costs",
+    "enter_section",
+    "normal_equations",
+    "ray_costs",
+]
 
 PARAMETERS = 9
 ROUND, TUBE, I_SHAPE, ANGLE, CHANNEL = 0, 1, 2, 3, 4
@@ -29,22 +37,25 @@ ROUND, TUBE, I_SHAPE, ANGLE, CHANNEL = 0, 1, 2, 3, 4
 _LEAST_SIZE, _MOST_SIZE = 0.02, 0.45
 _LEAST_PLATE, _MOST_PLATE = 0.003, 0.025
 _MOST_SHARE = 0.3  # of a section that a plate's thickness may be
-_MOST_SLOPE = 0.05
+_MOST_SLOPE = 0.12
 _GRAZING = 0.25  # sine of the angle below which a surface may send nothing back
 
 
 @kernel
 def _enter_box(
-    x: float, y: float, dx: float, dy: float, left: float, right: float, low: float, high: float
-) -> tuple[float, float]:
-    """Where a line enters a rectangle, infinite if it passes it; and how squarely."""
-    enters, leaves, facing = -np.inf, np.inf, 0.0
+    x: float, y: float, dx: float, dy: float, begin: float,
+    left: float, right: float, low: float, high: float,
+) -> tuple[float, float]:  # fmt: skip
+    """Where a line that begins somewhere enters a rectangle, infinite if not; how squarely."""
+    enters, leaves, facing = begin, np.inf, 1.0
     if dx == 0.0:
         if x < left or x > right:
             return np.inf, 0.0
     else:
         one, other = (left - x) / dx, (right - x) / dx
-        enters, leaves, facing = min(one, other), max(one, other), abs(dx)
+        leaves = max(one, other)
+        if min(one, other) > enters:
+            enters, facing = min(one, other), abs(dx)
     if dy == 0.0:
         if y < low or y > high:
             return np.inf, 0.0
@@ -58,9 +69,9 @@ def _enter_box(
 
 @kernel
 def enter_section(
-    shape: int, p: FloatArray, x: float, y: float, dx: float, dy: float
+    shape: int, p: FloatArray, x: float, y: float, dx: float, dy: float, begin: float
 ) -> tuple[float, float]:
-    """Where a line in the section's own frame enters it.
+    """Where a line in the section's own frame enters it, or is in it when it begins.
 
     Parameters
     ----------
@@ -68,6 +79,8 @@ def enter_section(
     p : (9,) float64
     x, y, dx, dy : float
         A point of the line, metres, and its unit direction.
+    begin : float, metres
+        Where the line begins, from that point.
 
     Returns
     -------
@@ -85,47 +98,61 @@ def enter_section(
         if root <= 0.0:
             return np.inf, 0.0
         root = np.sqrt(root)
-        return -(x * dx + y * dy) - root, root / radius
+        middle = -(x * dx + y * dy)
+        if begin <= middle - root:
+            return middle - root, root / radius
+        return (begin, 1.0) if begin <= middle + root else (np.inf, 0.0)
     if shape == TUBE:
-        return _enter_box(x, y, dx, dy, left, right, low, high)
-    along, facing = _enter_box(x, y, dx, dy, left, right, low, low + flange)
+        return _enter_box(x, y, dx, dy, begin, left, right, low, high)
+    along, facing = _enter_box(x, y, dx, dy, begin, left, right, low, low + flange)
     inner = high
     if shape != ANGLE:
         inner = high - flange
-        other, squarely = _enter_box(x, y, dx, dy, left, right, inner, high)
+        other, squarely = _enter_box(x, y, dx, dy, begin, left, right, inner, high)
         if other < along:
             along, facing = other, squarely
-    begin = 0.5 * (left + right - web) if shape == I_SHAPE else left
-    other, squarely = _enter_box(x, y, dx, dy, begin, begin + web, low + flange, inner)
+    inner_left = 0.5 * (left + right - web) if shape == I_SHAPE else left
+    other, squarely = _enter_box(
+        x, y, dx, dy, begin, inner_left, inner_left + web, low + flange, inner
+    )
     return (other, squarely) if other < along else (along, facing)
 
 
 @kernel
 def _depth(
-    shape: int, p: FloatArray, cos: float, sin: float, ray: FloatArray, aside: float
-) -> tuple[float, float]:
+    shape: int, p: FloatArray, cos: float, sin: float, ray: FloatArray, aside: float,
+    begin: float, stop: float,
+) -> tuple[float, float]:  # fmt: skip
     """How far behind the point nearest to the beam's axis a ray enters the section."""
-    du, dv, s = ray[0], ray[1], ray[5]
+    du, dv, s, rise = ray[0], ray[1], ray[5], ray[9]
     beside = ray[2] + aside
     u, v = -beside * dv - s * p[7], beside * du - s * p[8]
-    return enter_section(
-        shape, p, cos * u + sin * v, cos * v - sin * u, cos * du + sin * dv, cos * dv - sin * du
-    )
+    # Seen along an axis that leans, what a ray runs along the beam is a part of its way across.
+    du, dv = du - rise * p[7], dv - rise * p[8]
+    stretch = np.sqrt(du * du + dv * dv)
+    du, dv = du / stretch, dv / stretch
+    along, facing = enter_section(
+        shape, p, cos * u + sin * v, cos * v - sin * u, cos * du + sin * dv, cos * dv - sin * du,
+        begin * stretch,
+    )  # fmt: skip
+    along /= stretch
+    return (along, facing) if along <= stop else (np.inf, 0.0)
 
 
 @kernel
 def _ray_cost(
-    shape: int, p: FloatArray, cos: float, sin: float, ray: FloatArray, reach: float, worst: float
-) -> float:
+    shape: int, p: FloatArray, cos: float, sin: float, ray: FloatArray, reach: float, worst: float,
+    begin: float, stop: float,
+) -> float:  # fmt: skip
     """Cost of a ray: half its squared residual, at most that of what is not explained."""
     measured, sigma, aside = ray[3], ray[4], ray[6]
     missed = worst if measured < reach else 0.0
-    depth, facing = _depth(shape, p, cos, sin, ray, 0.0)
+    depth, facing = _depth(shape, p, cos, sin, ray, 0.0, begin, stop)
     hits = 1 if depth < np.inf else 0
     if aside > 0.0:
         total = depth if hits else 0.0
         for side in (-1.0, 1.0):
-            other, _ = _depth(shape, p, cos, sin, ray, side * aside)
+            other, _ = _depth(shape, p, cos, sin, ray, side * aside, begin, stop)
             if other < np.inf:
                 total += other
                 hits += 1
@@ -152,7 +179,7 @@ def ray_costs(
     ----------
     shape : int
     p : (9,) float64
-    rays : (N, 9) float64
+    rays : (N, 10) float64
         As `beamseg_batch.cylinder.near_kernels.gather_near` gives them.
     reach : float, metres
         A return nearer behind the axis than this is of something near it.
@@ -168,9 +195,50 @@ def ray_costs(
     """
     cos, sin, total = np.cos(p[4]), np.sin(p[4]), 0.0
     for k in range(len(rays)):
-        costs[k] = _ray_cost(shape, p, cos, sin, rays[k], reach, worst)
+        costs[k] = _ray_cost(shape, p, cos, sin, rays[k], reach, worst, -np.inf, np.inf)
         total += costs[k]
     return total
+
+
+@kernel
+def _between(ray: FloatArray, first: float, last: float) -> tuple[float, float]:
+    """How far behind the point nearest to the axis a ray is on a stretch of it: from, to."""
+    s, rise = ray[5], ray[9]
+    if rise == 0.0:
+        return (-np.inf, np.inf) if first <= s <= last else (np.inf, -np.inf)
+    one, other = (first - s) / rise, (last - s) / rise
+    return min(one, other), max(one, other)
+
+
+@kernel
+def ended_costs(
+    shape: int,
+    p: FloatArray,
+    rays: FloatArray,
+    reach: float,
+    worst: float,
+    first: float,
+    last: float,
+    costs: FloatArray,
+) -> None:
+    """How badly a section explains each ray, if it ends, and shows its ends.
+
+    Parameters
+    ----------
+    shape : int
+    p : (9,) float64
+    rays : (N, 10) float64
+    reach, worst : float
+        As of `ray_costs`.
+    first, last : float, metres
+        Ends of the stretch along the beam on which the section is.
+    costs : (N,) float64
+        Filled.
+    """
+    cos, sin = np.cos(p[4]), np.sin(p[4])
+    for k in range(len(rays)):
+        begin, stop = _between(rays[k], first, last)
+        costs[k] = _ray_cost(shape, p, cos, sin, rays[k], reach, worst, begin, stop)
 
 
 @kernel
@@ -207,7 +275,7 @@ def descend(
         What may be moved, for a step of 1 m.
     step, least : float, metres
         The first step, and the smallest; it is halved when no move helps.
-    rays : (N, 9) float64
+    rays : (N, 10) float64
     reach, worst : float
         As of `ray_costs`.
 
@@ -258,7 +326,7 @@ def normal_equations(
     shape : int
     p : (9,) float64
     moves : (K, 9) float64
-    rays : (N, 9) float64
+    rays : (N, 10) float64
     gate : float
         Rays with a larger residual, sigmas, are left out.
     matrix : (K, K) float64
@@ -274,7 +342,7 @@ def normal_equations(
     slopes, trial = np.empty(count), np.empty(len(p))
     for k in range(len(rays)):
         ray = rays[k]
-        depth, _ = _depth(shape, p, cos, sin, ray, 0.0)
+        depth, _ = _depth(shape, p, cos, sin, ray, 0.0, -np.inf, np.inf)
         if depth == np.inf or abs(ray[3] - depth) >= gate * ray[4]:
             continue
         residual = (ray[3] - depth) / ray[4]
@@ -284,7 +352,7 @@ def normal_equations(
                 for n in range(len(p)):
                     trial[n] = p[n] + sign * small * moves[i, n]
                 turned = np.cos(trial[4]), np.sin(trial[4])
-                moved, _ = _depth(shape, trial, turned[0], turned[1], ray, 0.0)
+                moved, _ = _depth(shape, trial, turned[0], turned[1], ray, 0.0, -np.inf, np.inf)
                 ahead, behind = (moved, behind) if sign > 0.0 else (ahead, moved)
             # An edge that moves past a ray changes its depth at a stroke.
             smooth = max(ahead, behind) < np.inf and abs(ahead - behind) < 8.0 * small

@@ -38,6 +38,7 @@ from beamseg_batch.structure.radius_classes import radius_classes, reclassed
 from beamseg_batch.structure.radius_trial import RadiusTrial
 from beamseg_batch.structure.refinement import PassRules, refined, side_by_side
 from beamseg_batch.structure.section_question import NearRays, SectionQuestion, reach_around
+from beamseg_batch.structure.section_refit import SectionRefit
 from beamseg_batch.structure.sections import SectionTrial, without_parts
 
 __all__ = ["EvidenceStructure"]
@@ -290,15 +291,29 @@ class EvidenceStructure:
         """
         self._beams = with_measured_ends(self._hypothesis(), likelihood, self._camera.pixel_m)
 
+    @property
+    def has_sections(self) -> bool:
+        """Whether a beam was found to be other than round, and its section known."""
+        return any(beam.cross_section.size is not None for beam in self._hypothesis())
+
     def section_question(self) -> SectionQuestion:
-        """Return which rays pass near the beams, and near those that may be no round ones."""
+        """Return which rays pass near the beams, and near those that may be no round ones.
+
+        Once sections are known, it is about the beams that have one.
+        """
         standing = self._hypothesis()
-        return SectionQuestion([*standing, *self._doubtful()], self._camera, len(standing))
+        beams = [*standing, *self._doubtful()]
+        return SectionQuestion(beams, self._camera, len(standing), again=self.has_sections)
 
     def section_trial(self) -> SectionTrial:
         """Return what finds the section of one beam."""
         reach = reach_around(self._hypothesis())
         return SectionTrial(reach, self._camera.background, self._catalogue)
+
+    def section_refit(self) -> SectionRefit:
+        """Return what measures axis and ends of a beam whose section is known."""
+        reach = reach_around(self._hypothesis())
+        return SectionRefit(reach, self._camera.background, self._camera.pixel_m)
 
     def beams_with(self, near: NearRays) -> Iterator[tuple[Beam, FloatArray]]:
         """Beams that `section_question` asked about, each with the rays near it."""
@@ -306,7 +321,7 @@ class EvidenceStructure:
         return ((beam, near.of(index)) for index, beam in asked)
 
     def set_sections(self, beams: Sequence[Beam]) -> None:
-        """Take in the beams that `section_trial` found, in the order of `beams_with`."""
+        """Take in what `section_trial` or `section_refit` found, in the order of `beams_with`."""
         standing = len(self._hypothesis())
         found = [beam for beam in beams[standing:] if beam.cross_section.size is not None]
         found = [*beams[:standing], *self._fates.numbered(found, "refused")]

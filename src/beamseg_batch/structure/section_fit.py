@@ -8,14 +8,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from beamseg_batch.cylinder.section_kernels import descend, normal_equations, ray_costs
+from beamseg_batch.cylinder.section_kernels import (
+    descend,
+    ended_costs,
+    normal_equations,
+    ray_costs,
+)
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.section import SHAPES, Section, Shape
 
 __all__ = [
     "Lead",
     "SectionFit",
+    "about_axis",
     "axis_covariance",
+    "costs_with_ends",
+    "fit_again",
     "fit_sections",
     "fit_standard",
     "is_richer",
@@ -111,6 +119,71 @@ def centre_of(shape: Shape, p: FloatArray) -> FloatArray:
     return np.array([cos * u - sin * v, sin * u + cos * v])
 
 
+def about_axis(size: Section, roll: float) -> FloatArray:
+    """Parameters of a section whose centre of area is on the axis of its beam.
+
+    Parameters
+    ----------
+    size : Section
+    roll : float, radians
+
+    Returns
+    -------
+    (9,) float64
+        As of `beamseg_batch.cylinder.section_kernels`.
+    """
+    p = np.array([0.0, size.width, 0.0, size.height, roll, size.web, size.flange, 0.0, 0.0])
+    turned = np.cos(roll), np.sin(roll)
+    u, v = centre_of(size.shape, p)
+    p[:2] -= turned[0] * u + turned[1] * v
+    p[2:4] -= turned[0] * v - turned[1] * u
+    return p
+
+
+def fit_again(
+    shape: Shape, p: FloatArray, rays: FloatArray, reach: float, worst: float, *, sized: bool
+) -> SectionFit:
+    """Improve a section that is known well.
+
+    Parameters
+    ----------
+    shape : Shape
+    p : (9,) float64
+    rays, reach, worst
+        As of `fit_sections`.
+    sized : bool
+        Whether its size is known, too, and stays.
+
+    Returns
+    -------
+    SectionFit
+    """
+    moves = (_PLACED if sized else _MOVES)[shape]
+    return _settled(shape, p, moves, (_ROUGH_STEP_M, _LAST_STEP_M), rays, reach, worst)
+
+
+def costs_with_ends(
+    fit: SectionFit, first: float, last: float, rays: FloatArray, reach: float, worst: float
+) -> FloatArray:
+    """How badly a section explains each ray, if it ends.
+
+    Parameters
+    ----------
+    fit : SectionFit
+    first, last : float, metres
+        Places along the beam.
+    rays, reach, worst
+        As of `fit_sections`; the rays may be others than those that it was fitted to.
+
+    Returns
+    -------
+    (N,) float64
+    """
+    costs = np.empty(len(rays))
+    ended_costs(SHAPES.index(fit.shape), fit.p, rays, reach, worst, first, last, costs)
+    return costs
+
+
 def fit_sections(
     rays: FloatArray, reach: float, worst: float, shapes: Sequence[Shape] = SHAPES
 ) -> list[SectionFit]:
@@ -118,7 +191,7 @@ def fit_sections(
 
     Parameters
     ----------
-    rays : (N, 9) float64
+    rays : (N, 10) float64
         See `beamseg_batch.cylinder.near_kernels.gather_near`.
     reach : float, metres
         Returns this near behind the axis are of the section or of something beside it.
@@ -238,7 +311,7 @@ def lead(fit: SectionFit, rival: SectionFit, rays: FloatArray) -> Lead:
     Parameters
     ----------
     fit, rival : SectionFit
-    rays : (N, 9) float64
+    rays : (N, 10) float64
         That both were fitted to.
 
     Returns
@@ -289,7 +362,7 @@ def axis_covariance(fit: SectionFit, rays: FloatArray) -> FloatArray:
     Parameters
     ----------
     fit : SectionFit
-    rays : (N, 9) float64
+    rays : (N, 10) float64
         That it was fitted to.
 
     Returns

@@ -14,19 +14,22 @@ from beamseg_batch.model import Scan
 from beamseg_batch.structure.hypothesis import Beam
 from beamseg_batch.structure.questions import Beams, Camera
 
-__all__ = ["NearRays", "SectionQuestion", "reach_around"]
+__all__ = ["END_MARGIN_M", "NearRays", "SectionQuestion", "reach_around"]
 
 _REACH_M, _REACH_RADII = 0.15, 3.0
 _MOST_A_SCAN = 150
 _DIRECTIONS = 36
 _MOST_A_DIRECTION = 150
-_END_MARGIN_M = 0.06  # what stands at an end is not of the section
+END_MARGIN_M = 0.06
+"""What stands this near to an end may not be of the section."""
+
+_BEYOND_M = 0.3
 _SAME = np.cos(np.radians(10.0))
 _SAME_RADII = 2.2
 
 Sample = NDArray[np.float32]
 Samples = dict[int, Sample]
-"""Rays by the number of their beam, (N, 9) float32; see `gather_near`."""
+"""Rays by the number of their beam, (N, 10) float32; see `gather_near`."""
 
 
 def reach_around(beams: Sequence[Beam]) -> float:
@@ -43,12 +46,27 @@ class SectionQuestion:
     camera : Camera
     standing : int
         The first so many are known to stand there; the others are not in their way.
+    again : bool, optional
+        Whether those alone are asked whose section is known, and past their ends as well.
+
+    Attributes
+    ----------
+    reach : float, metres
+    starts, stops : (M,) float64, metres
+        The stretch of each axis that is asked about; nothing if it stops where it starts.
     """
 
-    def __init__(self, beams: Sequence[Beam], camera: Camera, standing: int) -> None:
+    def __init__(
+        self, beams: Sequence[Beam], camera: Camera, standing: int, *, again: bool = False
+    ) -> None:
         self.camera, self.reach = camera, reach_around(beams)
         self._arrays = Beams(beams, "none")
         self._neighbours = _neighbours(beams, self.reach, standing)
+        margin = -_BEYOND_M if again else END_MARGIN_M
+        self.starts, self.stops = self._arrays.firsts + margin, self._arrays.lasts - margin
+        if again:
+            vague = [beam.cross_section.size is None for beam in beams]
+            self.stops = np.where(vague, self.starts, self.stops)
 
     def ask(self, scans: Iterable[Scan]) -> Samples:
         """Collect the rays of some scans.
@@ -59,11 +77,11 @@ class SectionQuestion:
 
         Returns
         -------
-        mapping of int to (N, 9) float32
+        mapping of int to (N, 10) float32
         """
         found: dict[int, list[Sample]] = {}
         arrays = self._arrays
-        starts, stops = arrays.firsts + _END_MARGIN_M, arrays.lasts - _END_MARGIN_M
+        starts, stops = self.starts, self.stops
         counts = np.zeros(len(starts), np.int64)
         rays = np.empty((_MOST_A_SCAN * len(starts), RAY_COLUMNS))
         for scan in scans:
@@ -100,7 +118,7 @@ class NearRays:
                 self._parts[index] = [_thinned(np.concatenate(parts))]
 
     def of(self, index: int) -> FloatArray:
-        """(N, 9) float64: rays near one beam, scan after scan."""
+        """(N, 10) float64: rays near one beam, scan after scan."""
         parts = self._parts.get(index)
         if not parts:
             return np.empty((0, RAY_COLUMNS))

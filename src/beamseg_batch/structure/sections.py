@@ -23,7 +23,7 @@ from beamseg_batch.structure.section_fit import (
     lead,
 )
 
-__all__ = ["SectionTrial", "warm_up_sections", "without_parts"]
+__all__ = ["SectionTrial", "placed", "warm_up_sections", "without_parts"]
 
 _FEWEST_HITS = 200
 _FEWEST_SCANS = 8
@@ -67,7 +67,7 @@ class SectionTrial:
 
         Parameters
         ----------
-        asked : Beam and (N, 9) float64
+        asked : Beam and (N, 10) float64
             The rays near it; see `beamseg_batch.cylinder.near_kernels.gather_near`.
 
         Returns
@@ -108,7 +108,7 @@ class SectionTrial:
         if not clear or not whole or best.cost > _WORST_A_HIT * hits:
             return _as(beam, CrossSection(shape="unknown", confidence=confidence))
         name, best = self._standard(best, rays)
-        return _placed(beam, best, rays, name, confidence)
+        return placed(beam, best, rays, name, confidence)
 
     def _is_whole(self, fit: SectionFit) -> bool:
         """Whether all of a section lies where rays were collected; boards and walls go on."""
@@ -177,8 +177,23 @@ def _as(beam: Beam, cross_section: CrossSection) -> Beam:
     return replace(beam, cross_section=cross_section)
 
 
-def _placed(beam: Beam, fit: SectionFit, rays: FloatArray, name: str, confidence: float) -> Beam:
-    """Put the beam's axis through the centre of area of its section."""
+def placed(beam: Beam, fit: SectionFit, rays: FloatArray, name: str, confidence: float) -> Beam:
+    """Put the beam's axis through the centre of area of its section.
+
+    Parameters
+    ----------
+    beam : Beam
+    fit : SectionFit
+    rays : (N, 10) float64
+        That it was fitted to.
+    name : str
+        Of the standard size; empty for none.
+    confidence : float
+
+    Returns
+    -------
+    Beam
+    """
     u, v = beam.normals
     centre, slopes, roll = fit.centre, fit.p[7:9], float(fit.p[4])
     direction = beam.direction + slopes[0] * u + slopes[1] * v
