@@ -48,6 +48,19 @@ def test_thin_foreground__keeps_a_beam_and_drops_the_wall(beam, wall):
     assert kept[~on_beam].sum() == 0
 
 
+def test_thin_foreground__of_a_beam_that_the_border_cuts():
+    rim = (np.array([1.0, 0.7, -0.8]), np.array([1.0, 0.7, 0.8]), 0.05)
+    scan, on_beam = view(rim, wall=1.4)
+    kept, more = (
+        np.isfinite(thin_foreground(scan, 0.05, 1.5, NOISE, beyond=beyond).points).all(axis=1)
+        for beyond in (False, True)
+    )
+    assert on_beam.sum() > 50
+    assert not kept.any()
+    assert more[on_beam].mean() > 0.9
+    assert not more[~on_beam].any()
+
+
 @pytest.mark.parametrize("lean", [0.0, 0.4, -0.8])
 def test_thin_foreground__keeps_nothing_of_a_wall(lean):
     scan, _ = view(wall=1.0, lean=lean)
@@ -118,11 +131,11 @@ def test_thin_foreground__of_nothing():
     assert not kept_by(scan).any()
 
 
-def naive_free(depths, wanted, pitch, width, jump):
+def naive_free(depths, wanted, pitch, width, jump, beyond):
     """Walk from each pixel along each line through it."""
     free = np.zeros(depths.shape, bool)
 
-    def opens(row, column, way, most, here):
+    def opens(row, column, way, most, here, beyond):
         line = [np.array([row, column]) + k * np.array(way) for k in range(1, most + 1)]
         inside = [tuple(p) for p in line if (p >= 0).all() and (p < depths.shape).all()]
         seen = [depths[p] for p in inside]
@@ -132,29 +145,31 @@ def naive_free(depths, wanted, pitch, width, jump):
                     return True
             elif abs(depth - here) > jump[row, column]:
                 return bool(depth > here)
-        return False
+        return beyond and len(inside) < most
 
     for row, column in zip(*np.nonzero(wanted), strict=True):
         here = depths[row, column]
         most = int(width / (here * pitch) + 1.5)
         free[row, column] = any(
-            opens(row, column, way, most, here)
-            and opens(row, column, tuple(-part for part in way), most, here)
+            opens(row, column, way, most, here, one)
+            and opens(row, column, tuple(-part for part in way), most, here, other)
             for way in ((0, 1), (1, 0), (1, 1), (1, -1))
+            for one, other in ((False, beyond), (beyond, False))
         )
     return free
 
 
+@pytest.mark.parametrize("beyond", [False, True])
 @pytest.mark.parametrize("seed", range(5))
-def test_free_pixels__agrees_with_its_twin(seed):
+def test_free_pixels__agrees_with_its_twin(seed, beyond):
     rng = np.random.default_rng(seed)
     depths = rng.choice([0.8, 1.0, 1.5, np.nan], (20, 17), p=[0.2, 0.4, 0.2, 0.2])
     depths += rng.normal(0, 0.01, depths.shape)
     wanted = np.isfinite(depths) & (rng.random(depths.shape) < 0.8)
     jump = rng.uniform(0.05, 0.15, depths.shape)
-    free = free_pixels(depths, wanted, 0.03, 0.1, jump)
+    free = free_pixels(depths, wanted, 0.03, 0.1, jump, beyond)
     assert 0 < free.sum() < wanted.sum()
-    np.testing.assert_array_equal(free, naive_free(depths, wanted, 0.03, 0.1, jump))
+    np.testing.assert_array_equal(free, naive_free(depths, wanted, 0.03, 0.1, jump, beyond))
 
 
 @pytest.mark.parametrize("run", [row_pitch, row_pitch.py_func])

@@ -20,7 +20,13 @@ _PITCH_ROWS = 8
 
 
 def thin_foreground(
-    scan: Scan, radius: float, reach: float, noise: DepthNoise, floor: float = -np.inf
+    scan: Scan,
+    radius: float,
+    reach: float,
+    noise: DepthNoise,
+    floor: float = -np.inf,
+    *,
+    beyond: bool = False,
 ) -> Scan:
     """Drop the returns of floor, walls and all else that is wider than a beam.
 
@@ -34,6 +40,9 @@ def thin_foreground(
     noise : DepthNoise
     floor : float, metres
         So are those below this height in the world frame.
+    beyond : bool
+        Whether the view is taken to go on further back beyond the border of the image, so
+        that a beam along it, or that is cut by it, is kept.
 
     Returns
     -------
@@ -49,7 +58,7 @@ def thin_foreground(
     """
     if scan.height > 1 and len(scan.points) != scan.width * scan.height:
         return scan
-    limits = (_WIDEST * radius, reach, noise, floor)
+    limits = (_WIDEST * radius, reach, noise, floor, beyond)
     if scan.height > 1:
         free = _free(scan, *limits)
     else:
@@ -70,7 +79,7 @@ def thin_foreground(
 
 
 def _free(
-    scan: Scan, width: float, reach: float, noise: DepthNoise, floor: float
+    scan: Scan, width: float, reach: float, noise: DepthNoise, floor: float, beyond: bool
 ) -> NDArray[np.bool_]:
     """Pixels of an image that show something thin that stands free."""
     if scan.height < 3 or scan.width < 3:
@@ -85,4 +94,4 @@ def _free(
         points, reach, pose.rotation[2].copy(), floor - float(pose.translation[2]),
         _LEAST_JUMP_M, _JUMP_SIGMAS * noise.constant, _JUMP_SIGMAS * noise.relative,
     )  # fmt: skip
-    return free_pixels(depths, wanted, pitch, width, jump).ravel()
+    return free_pixels(depths, wanted, pitch, width, jump, beyond).ravel()

@@ -15,8 +15,9 @@ _WAYS = np.array([[0, 1], [1, 0], [1, 1], [1, -1]])
 
 @kernel
 def _opens(
-    depths: FloatArray, row: int, column: int, down: int, right: int, most: int, jump: float
-) -> bool:
+    depths: FloatArray, row: int, column: int, down: int, right: int, most: int, jump: float,
+    beyond: bool,
+) -> bool:  # fmt: skip
     """Whether something deeper, or nothing, follows within so many pixels."""
     here = depths[row, column]
     missing = 0
@@ -24,7 +25,7 @@ def _opens(
         row += down
         column += right
         if not (0 <= row < depths.shape[0] and 0 <= column < depths.shape[1]):
-            return False
+            return beyond
         depth = depths[row, column]
         if not np.isfinite(depth):
             # One pixel without return may have failed; two in a row saw nothing.
@@ -42,8 +43,9 @@ def _opens(
 
 @kernel
 def free_pixels(
-    depths: FloatArray, wanted: NDArray[np.bool_], pitch: float, width: float, jump: FloatArray
-) -> NDArray[np.bool_]:
+    depths: FloatArray, wanted: NDArray[np.bool_], pitch: float, width: float, jump: FloatArray,
+    beyond: bool,
+) -> NDArray[np.bool_]:  # fmt: skip
     """Pixels on both sides of which the view goes on further back, in some direction.
 
     Parameters
@@ -58,6 +60,9 @@ def free_pixels(
         What is wider is not thin.
     jump : (H, W) float64, metres
         How much deeper is further back.
+    beyond : bool
+        Whether the view is taken to go on further back beyond the border of the image,
+        where the other side is seen to.
 
     Returns
     -------
@@ -73,8 +78,12 @@ def free_pixels(
             for way in range(4):
                 down, right = _WAYS[way, 0], _WAYS[way, 1]
                 step = jump[row, column]
-                if _opens(depths, row, column, down, right, most, step) and _opens(
-                    depths, row, column, -down, -right, most, step
+                ahead = _opens(depths, row, column, down, right, most, step, False)
+                if not (ahead or beyond):
+                    continue
+                # In a corner of the image both sides may lie beyond; one must be seen.
+                if _opens(depths, row, column, -down, -right, most, step, ahead and beyond) and (
+                    ahead or _opens(depths, row, column, down, right, most, step, True)
                 ):
                     free[row, column] = True
                     break

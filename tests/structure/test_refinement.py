@@ -12,6 +12,8 @@ from beamseg_batch.geometry import normalised
 from beamseg_batch.structure.arcs import arc_matrix
 from beamseg_batch.structure.hypothesis import Beam, Sums, normal_matrix
 from beamseg_batch.structure.refinement import (
+    INTERVAL_COST,
+    LEAST_SCORE,
     PassRules,
     bend,
     is_likely,
@@ -20,6 +22,7 @@ from beamseg_batch.structure.refinement import (
     stands_free,
     without_collisions,
     without_duplicates,
+    without_hidden_gaps,
 )
 from tests.structure.answers import NOISE, told
 
@@ -251,6 +254,36 @@ def test_refined__cuts_in_two_where_that_is_allowed(several):
     found = refined([GOOD], sums, NOISE, PassRules(cut=several))
     lengths = sorted(one.length for one in found)
     assert lengths == pytest.approx([0.4, 0.4] if several else [1.0], abs=2 * FINE)
+
+
+@pytest.mark.parametrize(("through", "count"), [(-4.0, 2), (-0.8, 1)])
+def test_refined__cuts_where_rays_see_through_not_where_few_reach(through, count):
+    sums = told(GOOD, lambda s: np.zeros(2))
+    likelihood, hits = sums.fine(0)
+    places = sums.starts[0] + FINE * (np.arange(len(hits)) + 0.5)
+    hidden = np.abs(places) < 0.15
+    likelihood[hidden], hits[hidden] = through, 0.0
+    assert -likelihood[hidden].sum() > INTERVAL_COST
+    assert len(refined([GOOD], sums, NOISE, PassRules(cut=True))) == count
+
+
+def test_without_hidden_gaps__joins_what_it_leaves_together():
+    likelihood = np.full(100, 20.0)
+    likelihood[20:30], likelihood[50:60], likelihood[80:90] = -3.0, -20.0, -3.0
+    stretches = np.array([[0, 20], [30, 50], [60, 80], [90, 100]])
+    joined = without_hidden_gaps(stretches, likelihood, 10.0)
+    np.testing.assert_array_equal(joined, [[0, 50], [60, 100]])
+    np.testing.assert_array_equal(
+        without_hidden_gaps(stretches[:0], likelihood, 10.0), np.empty((0, 2))
+    )
+
+
+@pytest.mark.parametrize(("asked", "count"), [(1.0, 0), (0.25, 1)])
+def test_refined__a_share_of_the_rays_needs_a_share_of_the_evidence(asked, count):
+    sums = told(GOOD, lambda s: np.zeros(2), per_bin=1)
+    likelihood = sums.fine(0)[0]
+    assert 0.25 * LEAST_SCORE < likelihood[likelihood > 0.0].sum() < LEAST_SCORE
+    assert len(refined([GOOD], sums, NOISE, PassRules(), asked=asked)) == count
 
 
 @pytest.mark.parametrize(("split", "count"), [(True, 2), (False, 1)])

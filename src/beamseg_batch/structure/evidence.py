@@ -175,8 +175,13 @@ class EvidenceStructure:
             competitors=kind.competitors,
             tukey=kind.tukey,
             flanks=kind.flanks,
-            stride=1 if self._closely else self._camera.stride,
+            stride=self._stride,
         )
+
+    @property
+    def _stride(self) -> int:
+        """Every so manieth row and column is asked."""
+        return 1 if self._closely else self._camera.stride
 
     def renew(self, sums: Sums) -> bool:
         """Renew the beams by what all rays answered to the last `question`.
@@ -202,8 +207,9 @@ class EvidenceStructure:
         self._waiting = self._waiting[1:]
         radii = self._radii
         self._beams = refined(
-            beams, sums, self._camera.sigma, kind.rules, radii, self._scans_alike(), self._fates
-        )
+            beams, sums, self._camera.sigma, kind.rules, radii, self._scans_alike(), self._fates,
+            asked=1.0 / self._stride**2,
+        )  # fmt: skip
         self._put_aside(beams, self._beams)
         if self._waiting or self.wants_leftovers or _have_moved(beams, self._beams):
             return True

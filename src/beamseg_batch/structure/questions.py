@@ -323,8 +323,10 @@ class LeftoverQuestion:
         """Returns in the window and above the floor that lie on no beam, world frame."""
         camera = self.camera
         if camera.thin:
+            # What is only seen at the border of the image is seen too seldom to be found
+            # in a scan alone, so it is left here; whether it is a beam all rays decide.
             scan = thin_foreground(
-                scan, camera.thickest, camera.high[0], camera.noise, camera.floor
+                scan, camera.thickest, camera.high[0], camera.noise, camera.floor, beyond=True
             )
         points = np.asarray(scan.points, np.float64)
         inside = np.all((points >= camera.low) & (points <= camera.high), axis=1)

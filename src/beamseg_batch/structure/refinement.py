@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from beamseg_batch.cylinder.evidence_kernels import COARSE
+from beamseg_batch.cylinder.evidence_kernels import COARSE, FINE
 from beamseg_batch.cylinder.ray_kernels import solve_4
 from beamseg_batch.geometry import FloatArray, parabola
 from beamseg_batch.structure.arcs import (
@@ -35,6 +36,7 @@ LEAST_SHARE = 0.15  # of the score that all hits would give
 BEST_A_HIT = 4.3
 LEAST_LENGTH = 0.18
 TRIM_A_HIT = 0.1
+SEEN_GAP = 0.005  # metres of a beam with as much evidence as a gap in it needs against it
 MOST_ATTACHED = (0.45, 0.45, 0.3)  # left, right, and by scan on either side
 THICKER = 1.15  # radii
 MOST_OFFSET = 0.012  # of two beams that are the same
@@ -81,12 +83,14 @@ def refined(
     radii: Sequence[float] = (),
     scans_alike: float = 1.0,
     fates: Fates | None = None,
+    asked: float = 1.0,
 ) -> list[Beam]:
     """Make the next hypothesis of the evidence about the present one.
 
     A beam takes the one of `radii` that its rays show, where they show it clearly. So many
     successive scans as `scans_alike` share an error of their poses. What becomes of the beams
-    that are left out is told to `fates`.
+    that are left out is told to `fates`. Where only a share of the rays was `asked`, that
+    share of the evidence is enough.
     """
     fates = fates or Fates()
     pieces: list[Piece] = []
@@ -96,9 +100,9 @@ def refined(
             Piece(
                 refit(part, index, low, high, sums, radii, scans_alike, bow=bow), index, low, high
             )
-            for part, low, high, bow in _renewed(beam, index, sums, noise, rules)
+            for part, low, high, bow in _renewed(beam, index, sums, noise, rules, asked)
         ]
-        refusals = [refusal_of(part.beam) if rules.drop else None for part in parts]
+        refusals = [refusal_of(part.beam, asked) if rules.drop else None for part in parts]
         likely = [part for part, no in zip(parts, refusals, strict=True) if no is None]
         pieces += likely
         refused += [] if likely else [beam]
@@ -106,18 +110,18 @@ def refined(
             if refusal is not None:
                 fates.note(part.beam, refusal)
         if not parts:
-            fates.note(*_denied(beam, index, sums))
+            fates.note(*_denied(beam, index, sums, asked))
     found = [piece.beam for piece in pieces]
     if rules.bow and rules.merge:
         found = with_arcs(pieces, beams, sums, noise, fates)
-    found += _outdone(refused) if rules.drop else []
+    found += _outdone(refused, asked) if rules.drop else []
     found = without_duplicates(found, fates) if rules.merge else found
     found = without_collisions(found, fates) if rules.drop and rules.trimmed else found
     found = fates.settled(beams, found, side_by_side)
     return snapped(found) if rules.snap else found
 
 
-def _outdone(refused: Sequence[Beam]) -> list[Beam]:
+def _outdone(refused: Sequence[Beam], asked: float) -> list[Beam]:
     """Those that wait a pass, since weaker beams that go now explained the same rays.
 
     Two beams for one, side by side, leave one another no evidence.
@@ -127,7 +131,8 @@ def _outdone(refused: Sequence[Beam]) -> list[Beam]:
     for rank, beam in enumerate(ordered.beams):
         weaker = (ordered.beams[k] for k in ordered.near(beam) if k > rank)
         outdone = any(side_by_side(beam, one) for one in weaker)
-        if outdone and is_likely(beam) and not any(side_by_side(beam, one) for one in waiting):
+        likely = outdone and is_likely(beam, asked)
+        if likely and not any(side_by_side(beam, one) for one in waiting):
             waiting.append(beam)
     return waiting
 
@@ -138,16 +143,16 @@ def side_by_side(one: Beam, other: Beam) -> bool:
     return offset < one.radius + other.radius and overlap > 0.0
 
 
-def is_likely(beam: Beam) -> bool:
-    """Whether the evidence for a beam is enough to keep it."""
-    return refusal_of(beam) is None
+def is_likely(beam: Beam, asked: float = 1.0) -> bool:
+    """Whether the evidence of a share of all rays is enough to keep a beam."""
+    return refusal_of(beam, asked) is None
 
 
-def refusal_of(beam: Beam) -> Refusal | None:
-    """Why the evidence for a beam is not enough to keep it; None if it is."""
-    best = BEST_A_HIT * beam.hits
-    if beam.score < LEAST_SCORE:
-        return Refusal("low_score", beam.score, LEAST_SCORE)
+def refusal_of(beam: Beam, asked: float = 1.0) -> Refusal | None:
+    """Why the evidence of a share of all rays is not enough to keep a beam; None if it is."""
+    best, least = BEST_A_HIT * beam.hits, LEAST_SCORE * asked
+    if beam.score < least:
+        return Refusal("low_score", beam.score, least)
     if beam.score < LEAST_SHARE * best:
         return Refusal("low_share", beam.score / best, LEAST_SHARE)
     if beam.length < LEAST_LENGTH:
@@ -176,7 +181,7 @@ def _attached(beam: Beam) -> Refusal | None:
     return None
 
 
-def _denied(beam: Beam, index: int, sums: Sums) -> tuple[Beam, Refusal]:
+def _denied(beam: Beam, index: int, sums: Sums, share: float) -> tuple[Beam, Refusal]:
     """Say of a beam of which no stretch is likely how likely its best one is."""
     likelihood, hits = sums.fine(index)
     first, last = densest_part(likelihood - TRIM_A_HIT * hits)
@@ -189,11 +194,11 @@ def _denied(beam: Beam, index: int, sums: Sums) -> tuple[Beam, Refusal]:
         profile=likelihood,
         profile_start=float(sums.starts[index]),
     )
-    return asked, Refusal("no_evidence", score, INTERVAL_COST)
+    return asked, Refusal("no_evidence", score, INTERVAL_COST * share)
 
 
 def _renewed(
-    beam: Beam, index: int, sums: Sums, noise: float, rules: PassRules
+    beam: Beam, index: int, sums: Sums, noise: float, rules: PassRules, asked: float
 ) -> list[tuple[Beam, float, float, bool | None]]:
     """Beams that become of one, each with the stretch of its axis that it is on.
 
@@ -201,7 +206,8 @@ def _renewed(
     """
     evidence = sums.evidence
     likelihood, hits = sums.fine(index)
-    stretches = best_intervals(likelihood, INTERVAL_COST)
+    cost = INTERVAL_COST * asked
+    stretches = without_hidden_gaps(best_intervals(likelihood, cost), likelihood, cost)
     if len(stretches) == 0:
         return []
     if not rules.cut:
@@ -232,6 +238,39 @@ def _renewed(
             beams.append((part, low, min(high, place + 0.05), False))
             beams.append((part, max(low, place - 0.05), high, False))
     return beams
+
+
+def without_hidden_gaps(
+    stretches: NDArray[np.int64], likelihood: FloatArray, cost: float
+) -> NDArray[np.int64]:
+    """Join stretches of one axis between which a gap is hidden rather than seen.
+
+    Behind another beam a few rays still seem to see through: pixels on its outline that mix
+    depths or return nothing. Through a gap that can be seen go as many as return beside it.
+
+    Parameters
+    ----------
+    stretches : (K, 2) int64
+        First bin of each, and the bin after its last, in order.
+    likelihood : (N,) float64
+        Log-likelihood ratio of each bin: beam against no beam.
+    cost : float
+        Of a stretch.
+
+    Returns
+    -------
+    (L, 2) int64
+    """
+    joined: list[tuple[int, int]] = []
+    for first, last in stretches:
+        begin = first
+        if joined:
+            before, end = joined[-1]
+            a_bin = min(likelihood[before:end].mean(), likelihood[first:last].mean())
+            if -likelihood[end:first].sum() < cost + SEEN_GAP / FINE * a_bin:
+                begin = joined.pop()[0]
+        joined.append((begin, last))
+    return np.array(joined, np.int64).reshape(-1, 2)
 
 
 def refit(
