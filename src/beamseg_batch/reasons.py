@@ -177,6 +177,13 @@ _CANDIDATES = (
         "refinement.bow",
     ),
     Reason(
+        "shapeless",
+        "candidates",
+        "of no known shape, and not free on either side",
+        "fits neither a round beam nor another section, and goes on beside itself",
+        "structure.shapes.enabled",
+    ),
+    Reason(
         "section_part",
         "candidates",
         "part of another's cross-section",

@@ -16,6 +16,7 @@ from beamseg_batch.structure.refinement import (
     LEAST_SCORE,
     PassRules,
     bend,
+    is_apart,
     is_likely,
     refined,
     refit,
@@ -346,3 +347,16 @@ def test_without_collisions__two_beams_do_not_share_their_place(other, count):
     kept = without_collisions([other, GOOD])
     assert len(kept) == count
     assert kept[0] is GOOD
+
+
+@pytest.mark.parametrize(
+    ("flanks", "apart"),
+    [
+        ([[24, 76], [20, 80], [0, 0]], True),
+        ([[26, 74], [0, 100], [0, 0]], False),
+        ([[0, 100], [0, 100], [30, 70]], False),
+        ([[9, 9], [0, 0], [0, 0]], True),
+    ],
+)
+def test_is_apart__what_has_no_shape_must_stand_more_freely(flanks, apart):
+    assert is_apart(replace(GOOD, flanks=np.array(flanks, np.float64))) is apart

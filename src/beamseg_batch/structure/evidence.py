@@ -36,7 +36,7 @@ from beamseg_batch.structure.questions import (
 )
 from beamseg_batch.structure.radius_classes import radius_classes, reclassed
 from beamseg_batch.structure.radius_trial import RadiusTrial
-from beamseg_batch.structure.refinement import PassRules, refined, side_by_side
+from beamseg_batch.structure.refinement import PassRules, is_apart, refined, side_by_side
 from beamseg_batch.structure.section_question import NearRays, SectionQuestion, reach_around
 from beamseg_batch.structure.section_refit import SectionRefit
 from beamseg_batch.structure.sections import SectionTrial, without_parts
@@ -331,9 +331,11 @@ class EvidenceStructure:
         standing = len(self._hypothesis())
         found = [beam for beam in beams[standing:] if beam.cross_section.size is not None]
         found = [*beams[:standing], *self._fates.numbered(found, "refused")]
-        left = without_parts(found)
+        whole = without_parts(found)
+        left = [beam for beam in whole if beam.cross_section.shape != "unknown" or is_apart(beam)]
         for beam in found:
-            self._fates.note(beam, Refusal("section_part"))
+            part = all(beam.number != other.number for other in whole)
+            self._fates.note(beam, Refusal("section_part") if part else Refusal("shapeless"))
         self._beams = self._fates.settled(found, left, side_by_side)
 
     def _put_aside(self, before: Sequence[Beam], after: Sequence[Beam]) -> None:

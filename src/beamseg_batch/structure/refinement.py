@@ -39,6 +39,7 @@ TRIM_A_HIT = 0.1
 SEEN_GAP = 0.005  # metres of a beam with as much evidence as a gap in it needs against it
 MOST_ATTACHED = (0.45, 0.45, 0.3)  # left, right, and by scan on either side
 THICKER = 1.15  # radii
+MOST_BESIDE_SHAPELESS = 0.25
 MOST_OFFSET = 0.012  # of two beams that are the same
 MOST_OFFSET_BEYOND = 0.006  # of one that goes on where another ends
 _CLASS_SIGMAS = 2.0
@@ -179,6 +180,15 @@ def _attached(beam: Beam) -> Refusal | None:
         if share > most:
             return Refusal("not_free", float(share), most)
     return None
+
+
+def is_apart(beam: Beam) -> bool:
+    """Whether what lies beside a beam would allow for one that has no known shape.
+
+    What fits neither a round beam nor any other section, and goes on beside itself, is a part
+    of something larger.
+    """
+    return not np.any(flank_shares(beam.flanks) > MOST_BESIDE_SHAPELESS)
 
 
 def _denied(beam: Beam, index: int, sums: Sums, share: float) -> tuple[Beam, Refusal]:
