@@ -289,7 +289,7 @@ def test_gather__a_place_that_rounds_up_to_the_end_stays_in_the_last_bin():
         low=np.array([0.0, -2.0, -2.0]), high=np.full(3, 2.0),
         up=np.array([0.0, 0.0, 1.0]), height=1.0, floor=-np.inf, blur=0.0, footprint=0.0,
         anchors=row * [1.0, 0.0, -place], directions=row * [0.0, 0.0, 1.0],
-        us=row * [1.0, 0.0, 0.0], vs=row * [0.0, 1.0, 0.0], bows=row * 0.0, radii=np.array([0.05]),
+        us=row * [1.0, 0.0, 0.0], vs=row * [0.0, 1.0, 0.0], bows=np.zeros((1, 3)), radii=np.array([0.05]),
         firsts=np.array([-1.0]), lasts=np.array([0.0]), ranks=np.zeros(1, np.int64),
         limits=np.ones(1, np.int64), starts=np.array([start]), fine_at=np.array([0, bins]),
         coarse_at=np.array([0, bins // 5]), tukey=4.0, background=5.0,
