@@ -96,9 +96,9 @@ def meetings_of(count, room=None):
     """Scratch of the kernels."""
     room = 4 * count + 64 if room is None else room
     return Meetings(
-        np.empty((count, 4)), np.full(count, -1), np.empty(count, np.int64),
+        np.full(count, -1), np.empty(count, np.int64),
         np.empty(room, np.int64), np.empty(room, np.int64),
-        *(np.empty(room) for _ in range(6)),
+        *(np.empty(room) for _ in range(7)),
     )  # fmt: skip
 
 

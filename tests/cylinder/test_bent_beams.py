@@ -77,8 +77,9 @@ def test_meet__caps_of_a_bent_beam_stand_square_to_its_axis():
     along, entry, nearest, _ = met(scene).T
     inside = (along > scene.firsts[0]) & (along < scene.lasts[0])
     np.testing.assert_array_equal(nearest[inside], entry[inside])
-    for s in (scene.firsts[0], scene.lasts[0]):
-        touch = np.array(local_axis(cylinders_of(scene), 0, s))
+    ends = scene.firsts[0], scene.lasts[0]
+    for s in ends:
+        touch = np.array(local_axis(scene.anchors[0], scene.directions[0], scene.bows[0], *ends, s))
         on_cap = np.isfinite(nearest) & ~inside & (abs(along - s) < 0.15)
         off = (scene.rays[on_cap] * nearest[on_cap, None] - touch[:3]) @ touch[3:6]
         assert np.abs(off).max(initial=0.0) < 0.004  # the axis turns a little beyond its end

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beamseg_batch.cylinder.meeting_kernels import sights
 from beamseg_batch.cylinder.near_kernels import RAY_COLUMNS, BesideBeams, gather_near
 from tests.cylinder.naive import line_distance
 from tests.cylinder.scenes import cylinders_of, recorded, scene_of, some_beams, view_of
@@ -18,13 +17,12 @@ def collected(scene, neighbours=None, *, width=None, most=10_000, scan=0, run=ga
     count = len(scene.anchors)
     view = view_of(scene, scene.width if width is None else width)
     beams = cylinders_of(scene)._replace(starts=scene.firsts, stops=scene.lasts)
-    sight, counts = np.empty((len(scene.points), 4)), np.zeros(count, np.int64)
+    counts = np.zeros(count, np.int64)
     rays = np.empty((min(most, 1000) * count, RAY_COLUMNS))
     near = [[] for _ in range(count)] if neighbours is None else neighbours
     at = np.concatenate([[0], np.cumsum([len(each) for each in near])]).astype(np.int64)
     who = np.array([o for each in near for o in each], np.int64)
-    sights(view, sight)
-    args = (scan, sight, most, rays, counts)
+    args = (scan, most, rays, counts)
     assert run(view, beams, REACH, BesideBeams(at, who), *args) == counts.sum()
     return np.split(rays[: counts.sum()], np.cumsum(counts)[:-1])
 

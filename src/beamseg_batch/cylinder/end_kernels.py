@@ -18,6 +18,7 @@ from beamseg_batch.cylinder.meeting_kernels import (
     local_axis,
     meet,
     rivals,
+    sight,
 )
 from beamseg_batch.cylinder.ray_kernels import enter_cylinder, finite_depth
 from beamseg_batch.geometry import FloatArray
@@ -50,10 +51,11 @@ def gather_ends(
         Scratch.
     """
     touched = meet(view, beams, meetings, False)
+    points, rays, ranks, limits = view.points, view.rays, beams.ranks, beams.limits
+    head, chain, who, nearest = meetings.head, meetings.chain, meetings.who, meetings.nearest
     for number in range(touched):
         k = meetings.pixels[number]
-        wx, wy, wz = meetings.sight[k, 0], meetings.sight[k, 1], meetings.sight[k, 2]
-        depth = meetings.sight[k, 3]
+        wx, wy, wz, depth = sight(points, rays, k)
         this = meetings.head[k]
         while this >= 0:
             j, s = meetings.who[this], meetings.along[this]
@@ -65,14 +67,16 @@ def gather_ends(
                 from_s, stretch = 0.0, 1.0
                 if bow[0] != 0.0 or bow[1] != 0.0 or bow[2] != 0.0:
                     from_s = s
-                    ax, ay, az, bx, by, bz, stretch = local_axis(beams, j, s)
+                    ax, ay, az, bx, by, bz, stretch = local_axis(a, b, bow, first, last, s)
                 entry, leave, at, _ = enter_cylinder(
                     wx, wy, wz, ax, ay, az, bx, by, bz, beams.radii[j]
                 )
                 wb = wx * bx + wy * by + wz * bz
                 ab = ax * bx + ay * by + az * bz
-                before, best, _ = rivals(beams, meetings, k, this)
                 sigma, side = meetings.sigma[this], meetings.side[this]
+                before, best, _ = rivals(
+                    ranks, limits[j], head[k], this, chain, who, nearest, entry, depth, sigma
+                )
                 for which in range(2):
                     if not (near_last if which else near_first):
                         continue

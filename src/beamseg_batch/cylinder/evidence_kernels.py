@@ -14,7 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamseg_batch.accelerate import kernel
-from beamseg_batch.cylinder.meeting_kernels import Cylinders, Meetings, View, forget, meet, rivals
+from beamseg_batch.cylinder.meeting_kernels import (
+    Cylinders,
+    Meetings,
+    View,
+    forget,
+    meet,
+    rivals,
+    sight,
+)
 from beamseg_batch.geometry import FloatArray
 
 __all__ = ["COARSE", "FINE", "NORMAL_COLUMNS", "Evidence", "gain", "gather"]
@@ -210,15 +218,19 @@ def gather(
     """
     flanks = evidence.flanks
     touched = meet(view, beams, meetings, len(flanks) > 0)
+    points, rays, ranks, limits = view.points, view.rays, beams.ranks, beams.limits
+    head, chain, who, nearest = meetings.head, meetings.chain, meetings.who, meetings.nearest
     for number in range(touched):
         k = meetings.pixels[number]
-        wx, wy, wz = meetings.sight[k, 0], meetings.sight[k, 1], meetings.sight[k, 2]
+        wx, wy, wz, depth = sight(points, rays, k)
         this = meetings.head[k]
         while this >= 0:
             j, s, e = meetings.who[this], meetings.along[this], meetings.residual[this]
             side, entry, sigma = meetings.side[this], meetings.entry[this], meetings.sigma[this]
-            before, best, apart = rivals(beams, meetings, k, this)
-            this = meetings.chain[this]
+            before, best, apart = rivals(
+                ranks, limits[j], head[k], this, chain, who, nearest, entry, depth, sigma
+            )
+            this = chain[this]
             evidence.asked[j] += 1
             radius = beams.radii[j]
             if abs(side) > 1.0:

@@ -19,6 +19,7 @@ from beamseg_batch.geometry import FloatArray
 __all__ = [
     "Cylinders",
     "Meetings",
+    "Room",
     "View",
     "counts_at",
     "forget",
@@ -28,7 +29,8 @@ __all__ = [
     "pixel_box",
     "ray_noise",
     "rivals",
-    "sights",
+    "room_of",
+    "sight",
 ]
 
 _FLANK = 1.35  # radii from the axis at which a beam's surroundings begin
@@ -80,6 +82,30 @@ class View(NamedTuple):
     footprint: float
 
 
+class Room(NamedTuple):
+    """Where returns count and how noisy they are: a `View` without its arrays.
+
+    A kernel that is given arrays counts who holds them, which costs more than what it does for
+    one ray.
+
+    Attributes
+    ----------
+    low, high : (float, float, float), metres
+    up : (float, float, float)
+    height, floor, noise : float, metres
+    noise_relative : float
+        As of `View`.
+    """
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+    up: tuple[float, float, float]
+    height: float
+    floor: float
+    noise: float
+    noise_relative: float
+
+
 class Cylinders(NamedTuple):
     """Beams of a hypothesis, in the sensor frame.
 
@@ -119,20 +145,17 @@ class Meetings(NamedTuple):
 
     Attributes
     ----------
-    sight : (R, 4) float64
-        Direction of each ray, and the depth at which it returned, infinite if it did not.
     head, pixels : (R,) int64
         First meeting of each pixel, and the pixels that have one.
     chain, who : (K,) int64
         Next meeting of the same pixel, and which beam it is with.
-    along, side, entry, sigma, residual, nearest : (K,) float64
+    along, side, entry, sigma, residual, nearest, depth : (K,) float64
         Where along the axis; on which side, as a share of the radius, and 2 or -2 for a
         ray that passes by; depth of the endless cylinder, metres; noise of that depth,
         metres; measured depth less that, sigmas; depth of the capped cylinder, infinite
-        if the ray passes it by.
+        if the ray passes it by; measured depth, infinite where nothing returned.
     """
 
-    sight: FloatArray
     head: NDArray[np.int64]
     pixels: NDArray[np.int64]
     chain: NDArray[np.int64]
@@ -143,35 +166,34 @@ class Meetings(NamedTuple):
     sigma: FloatArray
     residual: FloatArray
     nearest: FloatArray
+    depth: FloatArray
 
 
 @kernel
-def _look(view: View, sight: FloatArray, k: int) -> None:
-    """Note the direction of a ray, and how far it went."""
-    points, rays = view.points, view.rays
+def sight(
+    points: NDArray[np.floating], rays: FloatArray, k: int
+) -> tuple[float, float, float, float]:
+    """Direction of a ray, and the depth at which it returned, infinite if it did not.
+
+    Parameters
+    ----------
+    points, rays : (R, 3)
+        Of a `View`.
+    k : int
+        Pixel.
+
+    Returns
+    -------
+    wx, wy, wz : float
+        Unit direction: of the return, or of the pixel.
+    depth : float, metres
+    """
     x, y, z = np.float64(points[k, 0]), np.float64(points[k, 1]), np.float64(points[k, 2])
     depth = np.sqrt(x * x + y * y + z * z)
     if np.isfinite(depth) and depth > 0.0:
         scale = 1.0 / depth
-        sight[k, 0], sight[k, 1], sight[k, 2] = x * scale, y * scale, z * scale
-    else:
-        sight[k, 0], sight[k, 1], sight[k, 2] = rays[k, 0], rays[k, 1], rays[k, 2]
-        depth = np.inf
-    sight[k, 3] = depth
-
-
-@kernel
-def sights(view: View, sight: FloatArray) -> None:
-    """Note the direction of each ray, and how far it went.
-
-    Parameters
-    ----------
-    view : View
-    sight : (R, 4) float64
-        Filled, as of `Meetings`.
-    """
-    for k in range(len(view.points)):
-        _look(view, sight, k)
+        return x * scale, y * scale, z * scale, depth
+    return rays[k, 0], rays[k, 1], rays[k, 2], np.inf
 
 
 @kernel
@@ -267,14 +289,16 @@ def _clipped(
 
 @kernel
 def local_axis(
-    beams: Cylinders, j: int, s: float
+    a: FloatArray, b: FloatArray, bow: FloatArray, first: float, last: float, s: float
 ) -> tuple[float, float, float, float, float, float, float]:
     """Line that touches the axis of a bent beam.
 
     Parameters
     ----------
-    beams : Cylinders
-    j : int
+    a, b, bow : (3,) float64
+        Anchor, direction and bow of the beam, as of `Cylinders`.
+    first, last : float, metres
+        Its ends.
     s : float, metres
         Where, along the chord.
 
@@ -287,8 +311,6 @@ def local_axis(
     stretch : float
         Length of the line by length of the chord.
     """
-    a, b, bow = beams.anchors[j], beams.directions[j], beams.bows[j]
-    first, last = beams.firsts[j], beams.lasts[j]
     share = (2.0 * s - first - last) / (last - first)
     off, slope = 1.0 - share * share, -4.0 * share / (last - first)
     bx, by, bz = b[0] + slope * bow[0], b[1] + slope * bow[1], b[2] + slope * bow[2]
@@ -305,15 +327,11 @@ def local_axis(
 
 
 @kernel
-def _deepest(beams: Cylinders, j: int) -> float:
+def _deepest(bow: FloatArray, first: float, last: float, begin: float, end: float) -> float:
     """How far an axis is from its chord, at most, on the stretch that is asked about."""
-    bow = beams.bows[j]
     size = np.sqrt(bow[0] * bow[0] + bow[1] * bow[1] + bow[2] * bow[2])
-    middle, half = (
-        0.5 * (beams.firsts[j] + beams.lasts[j]),
-        0.5 * (beams.lasts[j] - beams.firsts[j]),
-    )
-    beyond = max(middle - beams.starts[j], beams.stops[j] - middle) / half
+    middle, half = 0.5 * (first + last), 0.5 * (last - first)
+    beyond = max(middle - begin, end - middle) / half
     return float(size * max(1.0, beyond * beyond - 1.0))
 
 
@@ -331,35 +349,145 @@ def in_reach(
 
 
 @kernel
-def counts_at(view: View, x: float, y: float, z: float) -> bool:
-    """Whether a place lies in the window and above the floor."""
+def room_of(view: View) -> Room:
+    """Return where the returns of a view count, and how noisy they are."""
     low, high, up = view.low, view.high, view.up
+    return Room(
+        (low[0], low[1], low[2]), (high[0], high[1], high[2]), (up[0], up[1], up[2]),
+        view.height, view.floor, view.noise, view.noise_relative,
+    )  # fmt: skip
+
+
+@kernel
+def counts_at(room: Room, x: float, y: float, z: float) -> bool:
+    """Whether a place lies in the window and above the floor."""
+    low, high, up = room.low, room.high, room.up
     inside: bool = (
         low[0] <= x <= high[0]
         and low[1] <= y <= high[1]
         and low[2] <= z <= high[2]
-        and up[0] * x + up[1] * y + up[2] * z + view.height >= view.floor
+        and up[0] * x + up[1] * y + up[2] * z + room.height >= room.floor
     )
     return inside
 
 
 @kernel
-def ray_noise(view: View, x: float, wx: float) -> float:
+def ray_noise(room: Room, x: float, wx: float) -> float:
     """Noise of a depth along its ray, from that of the forward depth ``x``."""
-    relative = view.noise_relative * x
-    return float(np.sqrt(view.noise * view.noise + relative * relative) / wx)
+    relative = room.noise_relative * x
+    return float(np.sqrt(room.noise * room.noise + relative * relative) / wx)
 
 
 @kernel
-def _chained(meetings: Meetings, used: int, touched: int, k: int) -> int:
-    """Put a meeting before those of its pixel; return how many pixels have one."""
-    head = meetings.head
-    if head[k] < 0:
-        meetings.pixels[touched] = k
-        touched += 1
-    meetings.chain[used] = head[k]
-    head[k] = used
-    return touched
+def _reach_of(room: Room) -> float:
+    """How far away something in the window may be, metres."""
+    low, high = room.low, room.high
+    squared = 0.0
+    for axis in range(3):
+        squared += max(low[axis] * low[axis], high[axis] * high[axis])
+    return float(np.sqrt(squared))
+
+
+@kernel
+def _moment(
+    ax: float, ay: float, az: float, bx: float, by: float, bz: float
+) -> tuple[float, float, float]:
+    """Normal of the plane through the camera and a line, as long as the line is away."""
+    return by * az - bz * ay, bz * ax - bx * az, bx * ay - by * ax
+
+
+@kernel
+def _meet_one(
+    view: View, beams: Cylinders, j: int, flanks: bool, meetings: Meetings, used: int, touched: int
+) -> tuple[int, int]:
+    """Find the meetings of all rays and one beam; return how many there are now, and pixels."""
+    points, rays, room = view.points, view.rays, room_of(view)
+    who, along, side, depths = meetings.who, meetings.along, meetings.side, meetings.depth
+    entries, sigmas = meetings.entry, meetings.sigma
+    residual, nearest = meetings.residual, meetings.nearest
+    head, pixels, chain = meetings.head, meetings.pixels, meetings.chain
+    a, b, bow, radius = beams.anchors[j], beams.directions[j], beams.bows[j], beams.radii[j]
+    begin, end = beams.starts[j], beams.stops[j]
+    first, last = beams.firsts[j], beams.lasts[j]
+    bent = bow[0] != 0.0 or bow[1] != 0.0 or bow[2] != 0.0
+    deep = _deepest(bow, first, last, begin, end) if bent else 0.0
+    if not in_reach(a, b, begin, end, radius + deep, _reach_of(room)):
+        return used, touched
+    inner = _FLANK * radius + _FLANK_FROM
+    outer = _FLANK * radius + _FLANK_TO if flanks else radius
+    num_rays, width = len(points), view.width
+    row_first, row_last, column_first, column_last = 0, 1, 0, num_rays
+    if width > 0:
+        row_first, row_last, column_first, column_last = pixel_box(
+            a, b, begin, end, outer + deep, width, num_rays // width, view.image
+        )
+    tangent_1, tangent_2 = _tangents(a, b, outer + deep)
+    ax, ay, az, bx, by, bz = a[0], a[1], a[2], b[0], b[1], b[2]
+    ab = ax * bx + ay * by + az * bz
+    mx, my, mz = _moment(ax, ay, az, bx, by, bz)
+    widest = (outer + deep) * (outer + deep)
+    from_s, stretch = 0.0, 1.0
+    for row in range(row_first, row_last):
+        left, right = column_first, column_last
+        if width > 0:
+            left, right = _clipped(tangent_1, row, view.image, left, right)
+            left, right = _clipped(tangent_2, row, view.image, left, right)
+        for k in range(row * width + left, row * width + right):
+            wx, wy, wz, depth = sight(points, rays, k)
+            if bent:
+                ax, ay, az, bx, by, bz = a[0], a[1], a[2], b[0], b[1], b[2]
+                ab = ax * bx + ay * by + az * bz
+                mx, my, mz = _moment(ax, ay, az, bx, by, bz)
+            mixed = wx * mx + wy * my + wz * mz
+            wb = wx * bx + wy * by + wz * bz
+            across = 1.0 - wb * wb
+            if mixed * mixed > widest * across or used == len(who):
+                continue
+            if bent:
+                # Along the chord, then along lines that touch the axis where that led.
+                from_s, stretch = 0.0, 1.0
+                for _ in range(_TANGENTS):
+                    middle = (wx * ax + wy * ay + wz * az - wb * ab) / across
+                    half = np.sqrt(max(radius * radius - mixed * mixed / across, 0.0) / across)
+                    at = from_s + ((middle - half) * wb - ab) / stretch
+                    from_s = min(max(at, begin - radius), end + radius)
+                    ax, ay, az, bx, by, bz, stretch = local_axis(a, b, bow, first, last, from_s)
+                    ab = ax * bx + ay * by + az * bz
+                    mx, my, mz = _moment(ax, ay, az, bx, by, bz)
+                    mixed = wx * mx + wy * my + wz * mz
+                    wb = wx * bx + wy * by + wz * bz
+                    across = 1.0 - wb * wb
+                if mixed * mixed > outer * outer * across:
+                    continue
+            if mixed * mixed > radius * radius * across:  # it passes by
+                entry = (wx * ax + wy * ay + wz * az - wb * ab) / across
+                s = from_s + (entry * wb - ab) / stretch
+                near = np.inf
+                beside = 2.0 if mixed > 0.0 else -2.0
+                is_met = mixed * mixed > inner * inner * across and first <= s <= last
+            else:
+                entry, leave, at, lateral = enter_cylinder(
+                    wx, wy, wz, ax, ay, az, bx, by, bz, radius
+                )
+                s, beside = from_s + at / stretch, lateral / radius
+                near = finite_depth(
+                    entry, leave, at, wb, ab, (first - from_s) * stretch, (last - from_s) * stretch
+                )
+                is_met = begin <= s < end
+            x = entry * wx
+            if not (is_met and entry > 0.0 and counts_at(room, x, entry * wy, entry * wz)):
+                continue
+            sigma = ray_noise(room, x, wx)
+            who[used], along[used], side[used] = j, s, beside
+            entries[used], sigmas[used], nearest[used] = entry, sigma, near
+            residual[used], depths[used] = (depth - entry) / sigma, depth
+            chain[used] = head[k]
+            if head[k] < 0:
+                pixels[touched] = k
+                touched += 1
+            head[k] = used
+            used += 1
+    return used, touched
 
 
 @kernel
@@ -380,125 +508,33 @@ def meet(view: View, beams: Cylinders, meetings: Meetings, flanks: bool) -> int:
     int
         Pixels that meet something, the first so many of ``meetings.pixels``.
     """
-    reach = 0.0
-    for axis in range(3):
-        reach += max(view.low[axis] * view.low[axis], view.high[axis] * view.high[axis])
-    reach = np.sqrt(reach)
-    sight, who, along, side = meetings.sight, meetings.who, meetings.along, meetings.side
-    entries, sigmas = meetings.entry, meetings.sigma
-    residual, nearest = meetings.residual, meetings.nearest
-    num_rays, width = len(view.points), view.width
-    if width == 0:
-        sights(view, sight)
     used, touched = 0, 0
     for j in range(len(beams.anchors)):
-        a, b, radius = beams.anchors[j], beams.directions[j], beams.radii[j]
-        begin, end = beams.starts[j], beams.stops[j]
-        first, last = beams.firsts[j], beams.lasts[j]
-        bow = beams.bows[j]
-        bent = bow[0] != 0.0 or bow[1] != 0.0 or bow[2] != 0.0
-        deep = _deepest(beams, j) if bent else 0.0
-        if not in_reach(a, b, begin, end, radius + deep, reach):
-            continue
-        inner = _FLANK * radius + _FLANK_FROM
-        outer = _FLANK * radius + _FLANK_TO if flanks else radius
-        row_first, row_last, column_first, column_last = 0, 1, 0, num_rays
-        if width > 0:
-            row_first, row_last, column_first, column_last = pixel_box(
-                a, b, begin, end, outer + deep, width, num_rays // width, view.image
-            )
-        tangent_1, tangent_2 = _tangents(a, b, outer + deep)
-        ax, ay, az, bx, by, bz = a[0], a[1], a[2], b[0], b[1], b[2]
-        ab = ax * bx + ay * by + az * bz
-        mx, my, mz = by * az - bz * ay, bz * ax - bx * az, bx * ay - by * ax
-        widest = (outer + deep) * (outer + deep)
-        from_s, stretch = 0.0, 1.0
-        for row in range(row_first, row_last):
-            begin_column, end_column = column_first, column_last
-            if width > 0:
-                begin_column, end_column = _clipped(
-                    tangent_1, row, view.image, begin_column, end_column
-                )
-                begin_column, end_column = _clipped(
-                    tangent_2, row, view.image, begin_column, end_column
-                )
-            for column in range(begin_column, end_column):
-                k = row * width + column
-                if width > 0:
-                    _look(view, sight, k)
-                wx, wy, wz, depth = sight[k, 0], sight[k, 1], sight[k, 2], sight[k, 3]
-                if bent:
-                    ax, ay, az, bx, by, bz = a[0], a[1], a[2], b[0], b[1], b[2]
-                    ab = ax * bx + ay * by + az * bz
-                    mx, my, mz = by * az - bz * ay, bz * ax - bx * az, bx * ay - by * ax
-                mixed = wx * mx + wy * my + wz * mz
-                wb = wx * bx + wy * by + wz * bz
-                across = 1.0 - wb * wb
-                if mixed * mixed > widest * across or used == len(who):
-                    continue
-                if bent:
-                    # Along the chord, then along lines that touch the axis where that led.
-                    from_s, stretch = 0.0, 1.0
-                    for _ in range(_TANGENTS):
-                        middle = (wx * ax + wy * ay + wz * az - wb * ab) / across
-                        half = np.sqrt(max(radius * radius - mixed * mixed / across, 0.0) / across)
-                        at = from_s + ((middle - half) * wb - ab) / stretch
-                        from_s = min(max(at, begin - radius), end + radius)
-                        ax, ay, az, bx, by, bz, stretch = local_axis(beams, j, from_s)
-                        ab = ax * bx + ay * by + az * bz
-                        mx, my, mz = by * az - bz * ay, bz * ax - bx * az, bx * ay - by * ax
-                        mixed = wx * mx + wy * my + wz * mz
-                        wb = wx * bx + wy * by + wz * bz
-                        across = 1.0 - wb * wb
-                    if mixed * mixed > outer * outer * across:
-                        continue
-                if mixed * mixed > radius * radius * across:
-                    middle = (wx * ax + wy * ay + wz * az - wb * ab) / across
-                    s = from_s + (middle * wb - ab) / stretch
-                    x, y, z = middle * wx, middle * wy, middle * wz
-                    if (
-                        mixed * mixed > inner * inner * across
-                        and middle > 0.0
-                        and first <= s <= last
-                        and counts_at(view, x, y, z)
-                    ):
-                        sigma = ray_noise(view, x, wx)
-                        who[used], along[used], side[used] = j, s, 2.0 if mixed > 0.0 else -2.0
-                        entries[used], sigmas[used], nearest[used] = middle, sigma, np.inf
-                        residual[used] = (depth - middle) / sigma
-                        touched = _chained(meetings, used, touched, k)
-                        used += 1
-                    continue
-                entry, leave, at, lateral = enter_cylinder(
-                    wx, wy, wz, ax, ay, az, bx, by, bz, radius
-                )
-                s = from_s + at / stretch
-                x, y, z = entry * wx, entry * wy, entry * wz
-                if not (entry > 0.0 and begin <= s < end and counts_at(view, x, y, z)):
-                    continue
-                sigma = ray_noise(view, x, wx)
-                who[used], along[used], side[used] = j, s, lateral / radius
-                entries[used], sigmas[used] = entry, sigma
-                residual[used] = (depth - entry) / sigma
-                nearest[used] = finite_depth(
-                    entry, leave, at, wb, ab, (first - from_s) * stretch, (last - from_s) * stretch
-                )
-                touched = _chained(meetings, used, touched, k)
-                used += 1
+        used, touched = _meet_one(view, beams, j, flanks, meetings, used, touched)
     return touched
 
 
 @kernel
-def rivals(beams: Cylinders, meetings: Meetings, k: int, this: int) -> tuple[float, float, float]:
+def rivals(
+    ranks: NDArray[np.int64], limit: int, head: int, this: int, chain: NDArray[np.int64],
+    who: NDArray[np.int64], nearest: FloatArray, entry: float, depth: float, sigma: float,
+) -> tuple[float, float, float]:  # fmt: skip
     """What the other beams that a ray meets say to it.
 
     Parameters
     ----------
-    beams : Cylinders
-    meetings : Meetings
-        As `meet` left them.
-    k, this : int
-        A pixel, and one of its meetings.
+    ranks : (M,) int64
+    limit : int
+        Of `Cylinders`; the limit is that of the beam which is met.
+    head, this : int
+        First meeting of the ray, and the one in question.
+    chain, who : (K,) int64
+    nearest : (K,) float64, metres
+        Of `Meetings`.
+    entry, depth : float, metres
+        Where the ray enters the beam, and where it returned.
+    sigma : float, metres
+        Noise of that.
 
     Returns
     -------
@@ -509,17 +545,15 @@ def rivals(beams: Cylinders, meetings: Meetings, k: int, this: int) -> tuple[flo
     apart : float
         Least distance of the beam's own depth from a competitor, in sigmas.
     """
-    limit, sigma = beams.limits[meetings.who[this]], meetings.sigma[this]
-    entry, depth = meetings.entry[this], meetings.sight[k, 3]
     before, best, apart = np.inf, np.inf, np.inf
-    other = meetings.head[k]
+    other = head
     while other >= 0:
-        near = meetings.nearest[other]
-        if other != this and near < np.inf and beams.ranks[meetings.who[other]] <= limit:
+        near = nearest[other]
+        if other != this and near < np.inf and ranks[who[other]] <= limit:
             before = min(before, near)
             best = min(best, abs(depth - near) / sigma)
             apart = min(apart, abs(entry - near) / sigma)
-        other = meetings.chain[other]
+        other = chain[other]
     return before, best, apart
 
 

@@ -19,6 +19,8 @@ from beamseg_batch.cylinder.meeting_kernels import (
     in_reach,
     pixel_box,
     ray_noise,
+    room_of,
+    sight,
 )
 from beamseg_batch.geometry import FloatArray
 
@@ -61,18 +63,19 @@ def _drawn(scan: int, pixel: int) -> float:
 @kernel
 def _is_near_another(
     wx: float, wy: float, wz: float, foot: float, reach: float,
-    beams: Cylinders, others: NDArray[np.int64],
+    anchors: FloatArray, directions: FloatArray, radii: FloatArray, firsts: FloatArray,
+    lasts: FloatArray, others: NDArray[np.int64],
 ) -> bool:  # fmt: skip
     """Whether a ray passes another beam closely, about where it passes this one."""
     for o in others:
-        a, b = beams.anchors[o], beams.directions[o]
-        near = _NEIGHBOUR * beams.radii[o]
+        a, b = anchors[o], directions[o]
+        near = _NEIGHBOUR * radii[o]
         ab = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
         wa = wx * a[0] + wy * a[1] + wz * a[2]
         wb = wx * b[0] + wy * b[1] + wz * b[2]
         across = max(1.0 - wb * wb, 1e-9)
         there = (wa - wb * ab) / across
-        s = min(max(there * wb - ab, beams.firsts[o] - _BESIDE_END), beams.lasts[o] + _BESIDE_END)
+        s = min(max(there * wb - ab, firsts[o] - _BESIDE_END), lasts[o] + _BESIDE_END)
         x, y, z = a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]
         there = wx * x + wy * y + wz * z
         apart = (x - there * wx) ** 2 + (y - there * wy) ** 2 + (z - there * wz) ** 2
@@ -88,7 +91,6 @@ def gather_near(
     reach: float,
     neighbours: BesideBeams,
     scan: int,
-    sight: FloatArray,
     most: int,
     rays: FloatArray,
     counts: NDArray[np.int64],
@@ -106,8 +108,6 @@ def gather_near(
         Beams beside which nothing is said.
     scan : int
         Its number.
-    sight : (R, 4) float64
-        As `beamseg_batch.cylinder.meeting_kernels.sights` fills it.
     most : int
         Rays of one beam, of which some may turn out to be of no use.
     rays : (M * most, 10) float64
@@ -127,10 +127,13 @@ def gather_near(
         window += max(low[axis] * low[axis], high[axis] * high[axis])
     window = np.sqrt(window)
     num_rays, width = len(view.points), view.width
+    points, view_rays, room = view.points, view.rays, room_of(view)
+    anchors, directions, radii = beams.anchors, beams.directions, beams.radii
+    firsts, lasts = beams.firsts, beams.lasts
     total = 0
     for j in range(len(beams.anchors)):
         counts[j] = 0
-        a, b, u, v = beams.anchors[j], beams.directions[j], beams.us[j], beams.vs[j]
+        a, b, u, v = anchors[j], directions[j], beams.us[j], beams.vs[j]
         begin, end = beams.starts[j], beams.stops[j]
         if end <= begin or not in_reach(a, b, begin, end, reach, window):
             continue
@@ -149,7 +152,7 @@ def gather_near(
         for number in range(scan % max(step, 1), pixels, max(step, 1)):
             row, column = divmod(number, column_last - column_first)
             k = (row_first + row) * width + column_first + column
-            wx, wy, wz, depth = sight[k, 0], sight[k, 1], sight[k, 2], sight[k, 3]
+            wx, wy, wz, depth = sight(points, view_rays, k)
             wu = wx * u[0] + wy * u[1] + wz * u[2]
             wv = wx * v[0] + wy * v[1] + wz * v[2]
             across = np.sqrt(wu * wu + wv * wv)
@@ -164,14 +167,16 @@ def gather_near(
             s = foot * wb - ab
             x, y, z = foot * wx, foot * wy, foot * wz
             behind = (depth - foot) * across
-            if not (begin <= s <= end and behind >= -reach and counts_at(view, x, y, z)):
+            if not (begin <= s <= end and behind >= -reach and counts_at(room, x, y, z)):
                 continue
-            if _is_near_another(wx, wy, wz, foot, reach, beams, others):
+            if _is_near_another(
+                wx, wy, wz, foot, reach, anchors, directions, radii, firsts, lasts, others
+            ):
                 continue
             ray = rays[total]
             ray[0], ray[1], ray[2] = du, dv, beside
             ray[3] = min(behind, _FAR) if np.isfinite(depth) else np.inf
-            ray[4] = ray_noise(view, x, wx) * across
+            ray[4] = ray_noise(room, x, wx) * across
             ray[5], ray[6] = s, 4.0 / 9.0 * view.blur * foot
             ray[7], ray[8], ray[9] = scan, _drawn(scan, k), wb / across
             total += 1

@@ -45,6 +45,7 @@ __all__ = ["EvidenceStructure"]
 
 _NO_JITTER = PoseJitter()
 _SETTLED_M = 0.005
+_SETTLED_ALONG_M = 0.02  # by which an end may move along its axis, if it is measured afterwards
 _MOST_SEARCHES = 3
 _FINE_MEASUREMENTS = 4  # the last ones, in which only beams count that know their radius well
 _EXACT_M = 1e-4
@@ -211,7 +212,8 @@ class EvidenceStructure:
             asked=1.0 / self._stride**2,
         )  # fmt: skip
         self._put_aside(beams, self._beams)
-        if self._waiting or self.wants_leftovers or _have_moved(beams, self._beams):
+        along = _SETTLED_ALONG_M if self.config.refinement.ends else _SETTLED_M
+        if self._waiting or self.wants_leftovers or _have_moved(beams, self._beams, along):
             return True
         if not self._closely and self._camera.stride > 1:
             # What is there is known from some of the pixels; where exactly, all of them tell.
@@ -417,15 +419,33 @@ def _same(radii: Sequence[float], others: Sequence[float]) -> bool:
     return len(radii) == len(others) and bool(np.allclose(radii, others, rtol=0.0, atol=_EXACT_M))
 
 
-def _have_moved(before: Sequence[Beam], after: Sequence[Beam]) -> bool:
+def _have_moved(before: Sequence[Beam], after: Sequence[Beam], most_along: float) -> bool:
     """Whether beams came, went, or have an end that moved."""
     if len(before) != len(after):
         return True
-    ends = np.array([np.concatenate(beam.ends) for beam in before])
-    # Their order may change, so each is held against all.
-    return any(
-        np.abs(ends - np.concatenate(beam.ends)).max(axis=1).min() > _SETTLED_M for beam in after
-    )
+    ends = np.array([beam.ends for beam in before])
+    return any(_furthest(ends, beam, most_along).min() > 1.0 for beam in after)
+
+
+def _furthest(ends: FloatArray, beam: Beam, most_along: float) -> FloatArray:
+    """How far a beam's ends are from those of each of some beams, in what counts as settled.
+
+    Parameters
+    ----------
+    ends : (M, 2, 3) float64, metres
+        Of beams whose order may be another: the least counts.
+    beam : Beam
+    most_along : float, metres
+        What counts as settled along the axis.
+
+    Returns
+    -------
+    (M,) float64
+    """
+    shifts = np.array(beam.ends) - ends
+    along = shifts @ beam.direction
+    across = np.linalg.norm(shifts - along[..., None] * beam.direction, axis=2)
+    return np.maximum(np.abs(along) / most_along, across / _SETTLED_M).max(axis=1)
 
 
 def _segment(beam: Beam) -> Segment:

@@ -353,8 +353,8 @@ class _Scratch:
             most = 4 * num_rays + 64
             whole: Any = [np.empty(most, np.int64) for _ in range(2)]
             self._meetings = Meetings(
-                np.empty((num_rays, 4)), np.full(num_rays, -1), np.empty(num_rays, np.int64),
-                *whole, *(np.empty(most) for _ in range(6)),
+                np.full(num_rays, -1), np.empty(num_rays, np.int64),
+                *whole, *(np.empty(most) for _ in range(7)),
             )  # fmt: skip
         return self._meetings
 

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from beamseg_batch.cylinder.meeting_kernels import sights
 from beamseg_batch.cylinder.near_kernels import RAY_COLUMNS, BesideBeams, gather_near
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import Scan
@@ -85,12 +84,9 @@ class SectionQuestion:
         counts = np.zeros(len(starts), np.int64)
         rays = np.empty((_MOST_A_SCAN * len(starts), RAY_COLUMNS))
         for scan in scans:
-            view = self.camera.view(scan)
-            sight = np.empty((len(scan.points), 4))
-            sights(view, sight)
             gather_near(
-                view, arrays.seen_from(scan, starts, stops), self.reach, self._neighbours,
-                scan.index, sight, _MOST_A_SCAN, rays, counts,
+                self.camera.view(scan), arrays.seen_from(scan, starts, stops),
+                self.reach, self._neighbours, scan.index, _MOST_A_SCAN, rays, counts,
             )  # fmt: skip
             first = 0
             for index in np.flatnonzero(counts):
