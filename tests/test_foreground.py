@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from beamseg_batch.foreground import thin_foreground
-from beamseg_batch.foreground_kernels import free_pixels, row_pitch, surveyed
+from beamseg_batch.foreground_kernels import free_pixels, row_pitch, surveyed, without_others
 from beamseg_batch.model import DepthNoise
 from tests.detection.scans import make_scan
 from tests.rays import camera_rays, seen_depths
@@ -183,17 +183,28 @@ def test_row_pitch__is_the_angle_between_neighbours(run):
     assert np.isnan(run(rows))
 
 
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
 @pytest.mark.parametrize("run", [surveyed, surveyed.py_func])
-def test_surveyed__agrees_with_its_twin(run):
+def test_surveyed__agrees_with_its_twin(run, kind):
     rng = np.random.default_rng(3)
     points = rng.normal([1.2, 0.0, 0.0], 0.4, (12, 9, 3))
     points[rng.random((12, 9)) < 0.2] = np.nan
     up = np.array([0.6, 0.0, 0.8])
+    points = points.astype(kind)
     depths, wanted, jump = run(points, 1.5, up, 0.5, 0.06, 0.01, 0.05)
     forward = points[..., 0]
     np.testing.assert_allclose(depths, np.linalg.norm(points, axis=2))
     with np.errstate(invalid="ignore"):
         np.testing.assert_array_equal(wanted, (forward <= 1.5) & (points @ up >= 0.5))
-    seen = np.isfinite(depths)
     least = np.maximum(0.06, np.hypot(0.01, 0.05 * forward))
-    np.testing.assert_allclose(jump[seen], least[seen])
+    np.testing.assert_allclose(jump, np.where(wanted, least, 0.0))
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.parametrize("run", [without_others, without_others.py_func])
+def test_without_others__agrees_with_its_twin(run, kind):
+    rng = np.random.default_rng(4)
+    points, kept = rng.normal(size=(30, 3)).astype(kind), rng.random(30) < 0.4
+    found = run(points, kept)
+    assert found.dtype == kind
+    np.testing.assert_array_equal(found, np.where(kept[:, None], points, np.nan))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamseg_batch.bearings import bearing_image
-from beamseg_batch.foreground_kernels import free_pixels, row_pitch, surveyed
+from beamseg_batch.foreground_kernels import free_pixels, row_pitch, surveyed, without_others
 from beamseg_batch.model import DepthNoise, Scan
 
 __all__ = ["thin_foreground"]
@@ -72,9 +72,8 @@ def thin_foreground(
         free[there] = _free(seen, *limits)[cells] & (
             depths[there] <= nearest[cells] + _LEAST_JUMP_M
         )
-    kept = scan.points.copy()
-    kept[~free] = np.nan
-    kept.flags.writeable = False
+    kept = without_others(scan.points, free)
+    kept.flags.writeable = False  # as all points of a recording
     return scan.with_points(kept)
 
 
@@ -85,8 +84,8 @@ def _free(
     if scan.height < 3 or scan.width < 3:
         return np.ones(len(scan.points), np.bool_)
     shape = (scan.height, scan.width)
-    points = np.array(scan.points, np.float64).reshape(*shape, 3)
-    pitch = row_pitch(points[:: max(len(points) // _PITCH_ROWS, 1)].copy())
+    points = scan.points.reshape(*shape, 3)
+    pitch = row_pitch(points[:: max(len(points) // _PITCH_ROWS, 1)])
     if not pitch > 0.0:
         return np.ones(len(scan.points), np.bool_)
     pose = scan.T_world_sensor

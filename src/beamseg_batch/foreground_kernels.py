@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from beamseg_batch.accelerate import kernel
 from beamseg_batch.geometry import FloatArray
 
-__all__ = ["free_pixels", "row_pitch", "surveyed"]
+__all__ = ["free_pixels", "row_pitch", "surveyed", "without_others"]
 
 _WAYS = np.array([[0, 1], [1, 0], [1, 1], [1, -1]])
 
@@ -91,12 +91,12 @@ def free_pixels(
 
 
 @kernel
-def row_pitch(rows: FloatArray) -> float:
+def row_pitch(rows: NDArray[np.floating]) -> float:
     """Angle from a pixel to the next along a row, the median of some rows.
 
     Parameters
     ----------
-    rows : (H, W, 3) float64, metres
+    rows : (H, W, 3) float32 or float64, metres
         Not finite where nothing returned.
 
     Returns
@@ -109,7 +109,9 @@ def row_pitch(rows: FloatArray) -> float:
     for row in range(rows.shape[0]):
         before = np.full(3, np.nan)
         for column in range(rows.shape[1]):
-            x, y, z = rows[row, column, 0], rows[row, column, 1], rows[row, column, 2]
+            x = np.float64(rows[row, column, 0])
+            y = np.float64(rows[row, column, 1])
+            z = np.float64(rows[row, column, 2])
             length = np.sqrt(x * x + y * y + z * z)
             x, y, z = x / length, y / length, z / length
             squared = (x - before[0]) ** 2 + (y - before[1]) ** 2 + (z - before[2]) ** 2
@@ -122,14 +124,14 @@ def row_pitch(rows: FloatArray) -> float:
 
 @kernel
 def surveyed(
-    points: FloatArray, reach: float, up: FloatArray, floor: float,
+    points: NDArray[np.floating], reach: float, up: FloatArray, floor: float,
     least: float, constant: float, relative: float,
 ) -> tuple[FloatArray, NDArray[np.bool_], FloatArray]:  # fmt: skip
     """What `free_pixels` is to be told of an image.
 
     Parameters
     ----------
-    points : (H, W, 3) float64, metres, x forward
+    points : (H, W, 3) float32 or float64, metres, x forward
         Not finite where nothing returned.
     reach : float, metres
         What is further ahead is not asked.
@@ -147,17 +149,42 @@ def surveyed(
     depths : (H, W) float64, metres
     wanted : (H, W) bool
     jump : (H, W) float64, metres
+        Where it is wanted; else 0.
     """
     height, width = points.shape[:2]
-    depths, jump = np.empty((height, width)), np.empty((height, width))
-    wanted = np.empty((height, width), np.bool_)
+    depths, jump = np.empty((height, width)), np.zeros((height, width))
+    wanted = np.zeros((height, width), np.bool_)
     for row in range(height):
         for column in range(width):
-            x, y, z = points[row, column, 0], points[row, column, 1], points[row, column, 2]
+            x = np.float64(points[row, column, 0])
+            y = np.float64(points[row, column, 1])
+            z = np.float64(points[row, column, 2])
             depth = np.sqrt(x * x + y * y + z * z)
             depths[row, column] = depth
-            seen = np.isfinite(depth)
-            high = up[0] * x + up[1] * y + up[2] * z >= floor
-            wanted[row, column] = seen and depth > 0.0 and x <= reach and high
-            jump[row, column] = max(least, np.hypot(constant, relative * x)) if seen else least
+            if not (0.0 < depth < np.inf and x <= reach):
+                continue
+            if up[0] * x + up[1] * y + up[2] * z >= floor:
+                wanted[row, column] = True
+                noise = np.sqrt(constant * constant + relative * relative * x * x)
+                jump[row, column] = max(least, noise)
     return depths, wanted, jump
+
+
+@kernel
+def without_others(points: NDArray[np.floating], kept: NDArray[np.bool_]) -> NDArray[np.floating]:
+    """Copy points, those that are not kept as NaN.
+
+    Parameters
+    ----------
+    points : (N, 3) float32 or float64
+    kept : (N,) bool
+
+    Returns
+    -------
+    (N, 3) of the same kind
+    """
+    copied = np.full_like(points, np.nan)
+    for k in range(len(points)):
+        if kept[k]:
+            copied[k, 0], copied[k, 1], copied[k, 2] = points[k, 0], points[k, 1], points[k, 2]
+    return copied

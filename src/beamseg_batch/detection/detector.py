@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -202,7 +203,9 @@ class Detector:
             if lowest > floor:
                 kept.append(segment)
             else:
-                refusals.add(Rejection("below_floor", float(lowest), floor, segment))
+                refusals.add(
+                    Rejection("below_floor", float(lowest), floor, partial(replace, segment))
+                )
         return kept
 
 
@@ -229,8 +232,8 @@ class Refusals:
     def add(self, rejection: Rejection) -> None:
         """Take in what screening says of a line."""
         self.counts[rejection.reason] += 1
-        segment = rejection.segment
-        if not self._keep or segment is None:
+        segment = rejection.segment if self._keep else None
+        if segment is None:
             return
         if rejection.t is not None:  # the stretch that was judged
             low, high = float(rejection.t.min()), float(rejection.t.max())

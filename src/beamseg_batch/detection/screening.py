@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal
+from functools import partial
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,8 +47,8 @@ class Rejection:
         One of `REJECTION_REASONS`, or ``below_floor``.
     value, limit : float
         What was found and what was needed, in the unit of the reason.
-    segment : Segment or None
-        What the line would have been; None where its points have no direction.
+    make_segment : callable or None
+        Makes what the line would have been; None where its points have no direction.
     t : (N,) float64, metres, or None
         Where the points that were judged lie along it; None for all of its points.
     """
@@ -54,11 +56,45 @@ class Rejection:
     reason: Reason
     value: float = field(default=math.nan, compare=False)
     limit: float = field(default=math.nan, compare=False)
-    segment: Segment | None = field(default=None, compare=False)
+    make_segment: Callable[[], Segment] | None = field(default=None, compare=False)
     t: FloatArray | None = field(default=None, compare=False)
 
     def __bool__(self) -> bool:
         return False
+
+    @property
+    def segment(self) -> Segment | None:
+        """What the line would have been, or None."""
+        return self.make_segment() if self.make_segment else None
+
+
+class _Line(NamedTuple):
+    """What `measure_line` finds of some points; see there."""
+
+    anchor: FloatArray
+    direction: FloatArray
+    scatter: FloatArray
+    t: FloatArray
+    t_min: float
+    t_max: float
+    furthest: float
+
+    def pca_coeff(self) -> float:
+        total = float(self.scatter[0] + self.scatter[1] + self.scatter[2])
+        return float(self.scatter[0]) / total if total > 0.0 else 0.0
+
+    def segment(self, points: FloatArray, radius: float) -> Segment:
+        return Segment(
+            anchor=self.anchor,
+            direction=self.direction,
+            t_min=self.t_min,
+            t_max=self.t_max,
+            radius=radius,
+            n_points=len(points),
+            pca_coeff=self.pca_coeff(),
+            pca_eig=self.scatter / (len(points) - 1),
+            points=points,
+        )
 
 
 def screen(
@@ -96,28 +132,33 @@ def screen(
     """
     diag_voxel = math.sqrt(3.0) * leaf_size
     max_gap = config.max_gap_factor * diag_voxel
-    segment, t, furthest = _fitted(points, direction, radius)
-    run = longest_run(t, max_gap)
-    has_gap = len(run) < len(t)
+    line = _fitted(points, direction)
+    run = longest_run(line.t, max_gap)
+    has_gap = len(run) < len(points)
     if has_gap and config.gap == "longest_run":
-        points, has_gap = points[run], False
+        whole, points, has_gap = partial(line.segment, points, radius), points[run], False
         if len(points) < minvotes:
-            return Rejection("too_few_points", len(points), minvotes, segment, t[run])
-        segment, t, furthest = _fitted(points, direction, radius)
-    if segment.length < _NO_LENGTH_M:
+            return Rejection("too_few_points", len(points), minvotes, whole, line.t[run])
+        line = _fitted(points, direction)
+    length = line.t_max - line.t_min
+    if length < _NO_LENGTH_M:
         return Rejection("too_few_points", 1, minvotes)
-    needed = config.min_points_factor * min_number_of_points(segment.length, radius, leaf_size)
+    segment = partial(line.segment, points, radius)
+    needed = config.min_points_factor * min_number_of_points(length, radius, leaf_size)
     if len(points) < needed:
         return Rejection("too_few_points", len(points), needed, segment)
-    tolerance = config.radius_tolerance_factor * diag_voxel
-    if abs(furthest - radius) >= tolerance:
-        return Rejection("wrong_radius", abs(furthest - radius), tolerance, segment)
+    tolerance, off = config.radius_tolerance_factor * diag_voxel, abs(line.furthest - radius)
+    if off >= tolerance:
+        return Rejection("wrong_radius", off, tolerance, segment)
     if has_gap:
-        return Rejection("gap", float(np.diff(np.sort(t)).max()), max_gap, segment)
-    is_elongated = segment.pca_coeff >= config.min_pca_coeff
-    if not is_elongated and not (config.half_round != "none" and _is_half_round(segment)):
-        return Rejection("low_pca_coeff", segment.pca_coeff, config.min_pca_coeff, segment)
-    return segment
+        return Rejection("gap", float(np.diff(np.sort(line.t)).max()), max_gap, segment)
+    pca_coeff = line.pca_coeff()
+    found = segment()
+    if pca_coeff < config.min_pca_coeff and not (
+        config.half_round != "none" and _is_half_round(found)
+    ):
+        return Rejection("low_pca_coeff", pca_coeff, config.min_pca_coeff, segment)
+    return found
 
 
 def _is_half_round(segment: Segment) -> bool:
@@ -156,29 +197,14 @@ def segment_from_points(points: FloatArray, direction: FloatArray, radius: float
     -----
     ``pca_coeff = eig[0] / (eig[0] + eig[1] + eig[2])``, report, section 3.2.4.
     """
-    return _fitted(points, direction, radius)[0]
+    return _fitted(points, direction).segment(points, radius)
 
 
-def _fitted(
-    points: FloatArray, direction: FloatArray, radius: float
-) -> tuple[Segment, FloatArray, float]:
-    """Segment of the points, their positions along it, and the largest distance from it."""
+def _fitted(points: FloatArray, direction: FloatArray) -> _Line:
+    """Line through the points."""
     if len(points) < 2:
         raise ShapeError(f"a segment needs at least 2 points, not {len(points)}")
-    anchor, axis, scatter, t, t_min, t_max, furthest = measure_line(points, direction)
-    total = float(scatter[0] + scatter[1] + scatter[2])
-    segment = Segment(
-        anchor=anchor,
-        direction=axis,
-        t_min=t_min,
-        t_max=t_max,
-        radius=radius,
-        n_points=len(points),
-        pca_coeff=float(scatter[0]) / total if total > 0.0 else 0.0,
-        pca_eig=scatter / (len(points) - 1),
-        points=points,
-    )
-    return segment, t, furthest
+    return _Line(*measure_line(points, direction))
 
 
 def longest_run(t: FloatArray, max_gap: float) -> NDArray[np.int64]:

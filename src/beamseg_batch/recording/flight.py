@@ -45,7 +45,7 @@ from beamseg_batch.recording.frames import (
 )
 from beamseg_batch.recording.jitter import without_jitter
 from beamseg_batch.recording.kept_scans import KeptScans
-from beamseg_batch.recording.matching import match_pose, nearest_gaps
+from beamseg_batch.recording.matching import PoseMatch, match_pose, nearest_gaps
 from beamseg_batch.recording.pose_arrays import resampled
 from beamseg_batch.recording.pose_files import read_pose_file
 from beamseg_batch.recording.poses import Edge, EdgeKind, read_edges, read_tracks
@@ -126,6 +126,10 @@ class Flight:
     @cached_property
     def _kept(self) -> KeptScans:
         return KeptScans()
+
+    @cached_property
+    def _matches(self) -> dict[int, tuple[Trajectory, PoseMatch]]:
+        return {}
 
     @cached_property
     def _clocks(self) -> PoseClocks:
@@ -249,7 +253,7 @@ class Flight:
         if poses is None:
             detail = "a clock was reset, and stood as that of no pose; see --time-source log"
             return self._skipped(index, raw, stamp_ns, "clock_reset", detail)
-        match = match_pose(poses, stamp_ns, self.config.matching)
+        match = self._match(poses, index, stamp_ns)
         if match.T_world_body is None:
             detail = self._gap_detail(match.gap_ns)
             return self._skipped(index, raw, stamp_ns, "no_pose_within_gap", detail)
@@ -271,6 +275,14 @@ class Flight:
             read_us=(perf_counter() - start) * 1e6,
             log_ns=raw.log_time_ns,
         )
+
+    def _match(self, poses: Trajectory, index: int, stamp_ns: int) -> PoseMatch:
+        """Pose of a cloud: looked for once, though the flight is read a dozen times."""
+        known = self._matches.get(index)
+        if known is None or known[0] is not poses:
+            known = poses, match_pose(poses, stamp_ns, self.config.matching)
+            self._matches[index] = known
+        return known[1]
 
     def _gap_detail(self, gap_ns: int) -> str:
         limit_s = self.config.matching.max_gap_s

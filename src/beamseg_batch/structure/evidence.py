@@ -445,7 +445,8 @@ def _furthest(ends: FloatArray, beam: Beam, most_along: float) -> FloatArray:
     shifts = np.array(beam.ends) - ends
     along = shifts @ beam.direction
     across = np.linalg.norm(shifts - along[..., None] * beam.direction, axis=2)
-    return np.maximum(np.abs(along) / most_along, across / _SETTLED_M).max(axis=1)
+    moved: FloatArray = np.maximum(np.abs(along) / most_along, across / _SETTLED_M)
+    return np.asarray(moved.max(axis=1))
 
 
 def _segment(beam: Beam) -> Segment:

@@ -2,14 +2,34 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
+from numpy.typing import NDArray
 
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import Scan
 
-__all__ = ["PixelRays"]
+__all__ = ["PixelRays", "every"]
+
+T = TypeVar("T", bound=np.generic)
 
 _ENOUGH_SCANS = 50
+
+
+def every(pixels: NDArray[T], width: int, stride: int) -> NDArray[T]:
+    """Take every so manieth row and column of an image.
+
+    Parameters
+    ----------
+    pixels : (R, 3)
+    width, stride : int
+
+    Returns
+    -------
+    (S, 3) of the same kind
+    """
+    return pixels.reshape(-1, width, 3)[::stride, ::stride].reshape(-1, 3)
 
 
 class PixelRays:
@@ -27,6 +47,7 @@ class PixelRays:
         self._width = 0
         self._image_width = 0
         self._image = np.zeros(4)
+        self._strided: dict[int, FloatArray] = {}
 
     @property
     def count(self) -> int:
@@ -56,12 +77,14 @@ class PixelRays:
             self._unknown = np.flatnonzero(~self._sum.any(axis=1))
             self._rays = None
 
-    def of(self, scan: Scan) -> tuple[FloatArray, int, FloatArray]:
+    def of(self, scan: Scan, stride: int = 1) -> tuple[FloatArray, int, FloatArray]:
         """Directions of a scan's pixels.
 
         Parameters
         ----------
         scan : Scan
+        stride : int
+            Every so manieth row and column of an image.
 
         Returns
         -------
@@ -76,7 +99,12 @@ class PixelRays:
         known = self._directions()
         if known is None or len(known) != len(scan.points) or scan.width != self._width:
             return np.zeros((len(scan.points), 3)), 0, self._image
-        return known, self._image_width, self._image
+        if stride == 1 or not self._image_width:
+            return known, self._image_width, self._image
+        if stride not in self._strided:
+            self._strided[stride] = every(known, self._width, stride)
+        image = self._image * [1.0, stride, 1.0, stride]
+        return self._strided[stride], -(-self._width // stride), image
 
     @property
     def pitch_rad(self) -> float | None:
@@ -89,6 +117,7 @@ class PixelRays:
             return None
         if self._rays is None:
             lengths = np.linalg.norm(self._sum, axis=1)
+            self._strided.clear()
             self._rays = self._sum / np.where(lengths > 0.0, lengths, np.inf)[:, None]
             self._image_width = self._fit_image(self._rays)
         return self._rays

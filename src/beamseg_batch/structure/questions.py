@@ -23,7 +23,7 @@ from beamseg_batch.foreground import thin_foreground
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import DepthNoise, Scan
 from beamseg_batch.structure.hypothesis import Answer, Beam, Sums
-from beamseg_batch.structure.pixel_rays import PixelRays
+from beamseg_batch.structure.pixel_rays import PixelRays, every
 
 __all__ = [
     "END_PLACES",
@@ -93,25 +93,17 @@ class Camera:
 
     def view(self, scan: Scan, stride: int = 1) -> View:
         """Return a scan as the kernels take it, or every so manieth row and column of it."""
-        rays, width, image = self.pixels.of(scan)
-        points = scan.points
-        footprint = abs(float(image[1])) if self.noise.mixed else 0.0
-        if stride > 1 and width > 0:
-            points, rays = (_thinned(each, width, stride) for each in (points, rays))
+        rays, width, image = self.pixels.of(scan, stride)
+        points, footprint = scan.points, abs(float(image[1])) if self.noise.mixed else 0.0
+        if len(rays) < len(points):
+            points, footprint = every(points, scan.width, stride), footprint / stride
             points.flags.writeable = False  # as all points of a recording
-            width = -(-width // stride)
-            image = image * [1.0, stride, 1.0, stride]
         pose = scan.T_world_sensor
         return View(
             points, rays, width, image, self.noise.constant, self.noise.relative,
             self.low, self.high, pose.rotation[2].copy(), float(pose.translation[2]), self.floor,
             _BLURRED_PIXELS * footprint, footprint,
         )  # fmt: skip
-
-
-def _thinned(pixels: NDArray[Any], width: int, stride: int) -> NDArray[Any]:
-    """Every so manieth row and column of an image, (R, 3)."""
-    return pixels.reshape(-1, width, 3)[::stride, ::stride].reshape(-1, 3)
 
 
 class Beams:
