@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from beamseg_batch.geometry import angle_between_deg, distances_to_line
+from beamseg_batch.structure.candidate_kernels import STATE_SIZE, grow
 from beamseg_batch.structure.candidates import Candidates
 from tests.structure.segments import between, jittered, turned
 
@@ -86,3 +87,27 @@ def test_add__holds_more_candidates_than_it_has_room_for_at_first():
     candidates = gather(*columns, *columns)
     assert len(candidates) == 40
     assert [beam.anchor[1] for beam in candidates.beams(2)] == pytest.approx(list(range(40)))
+
+
+@pytest.mark.parametrize("run", [grow, grow.py_func])
+@pytest.mark.parametrize("seed", range(3))
+def test_grow__agrees_with_lapack(run, seed):
+    rng = np.random.default_rng(seed)
+    state, row = np.zeros(STATE_SIZE), np.zeros(9)
+    points, weights, forward = [], [], None
+    for _ in range(5):
+        segment = jittered(BEAM, rng, 0.01)
+        forward = forward if points else segment.direction
+        weight = float(rng.integers(5, 50))
+        run(state, row, segment.anchor, segment.direction, segment.t_min, segment.t_max, weight)
+        points += [segment.end_1, segment.midpoint, segment.end_2]
+        weights += [weight] * 3
+        mean = np.average(points, axis=0, weights=weights)
+        scatter = np.cov(np.transpose(points), aweights=weights, ddof=0)
+        axis = np.linalg.eigh(scatter)[1][:, 2]
+        np.testing.assert_allclose(row[:3], mean, atol=1e-12)
+        assert abs(row[3:6] @ axis) == pytest.approx(1.0, abs=1e-12)
+        assert row[3:6] @ forward > 0.99
+        along = (np.array(points) - mean) @ row[3:6]
+        # The ends so far lie on the axis so far, hardly off the new one.
+        np.testing.assert_allclose(row[6:8], [along.min(), along.max()], atol=1e-3)

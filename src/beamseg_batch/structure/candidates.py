@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import Segment
-from beamseg_batch.structure.candidate_kernels import nearest_candidate
+from beamseg_batch.structure.candidate_kernels import STATE_SIZE, grow, nearest_candidate
 from beamseg_batch.structure.hypothesis import Beam
 
 __all__ = ["Candidates"]
@@ -36,6 +37,7 @@ class Candidates:
     def __init__(self, sigma: float) -> None:
         self._most_offset = max(_LEAST_OFFSET_M, _MOST_OFFSET_SIGMAS * sigma * 0.75)
         self._rows = np.empty((16, 9))  # as of nearest_candidate
+        self._states = np.zeros((16, STATE_SIZE))  # as of grow
         self._groups: list[_Group] = []
 
     def __len__(self) -> int:
@@ -67,11 +69,17 @@ class Candidates:
         index = self.nearest(segment) if index is None else index
         if index < 0:
             index = len(self._groups)
-            self._groups.append(_Group(segment))
             if index == len(self._rows):
                 self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
-        self._groups[index].add(segment)
-        self._rows[index] = self._groups[index].row()
+                self._states = np.concatenate([self._states, np.zeros_like(self._states)])
+            self._rows[index, 8] = segment.radius
+            self._groups.append(_Group(segment.first_seen_ns))
+        group = self._groups[index]
+        group.sightings, group.last_seen_ns = group.sightings + 1, segment.last_seen_ns
+        grow(
+            self._states[index], self._rows[index],
+            segment.anchor, segment.direction, segment.t_min, segment.t_max, segment.n_points,
+        )  # fmt: skip
         return index
 
     def beams(self, min_scans: int) -> list[Beam]:
@@ -80,47 +88,25 @@ class Candidates:
 
     def all(self) -> list[tuple[Beam, int]]:
         """Every candidate with the number of its sightings, in order of the first."""
-        return [(group.beam(), group.sightings) for group in self._groups]
+        return [(self._beam(index), group.sightings) for index, group in enumerate(self._groups)]
 
-
-class _Group:
-    def __init__(self, segment: Segment) -> None:
-        self.radius = segment.radius
-        self.sightings = 0
-        self.first_seen_ns = segment.first_seen_ns
-        self._weight = 0.0
-        self._sum = np.zeros(3)
-        self._products = np.zeros((3, 3))
-        self._direction = segment.direction
-        self._ends = np.array([segment.end_1, segment.end_2])
-
-    def add(self, segment: Segment) -> None:
-        points = np.array([segment.end_1, segment.midpoint, segment.end_2])
-        self._weight += 3.0 * segment.n_points
-        self._sum += segment.n_points * points.sum(axis=0)
-        self._products += segment.n_points * (points.T @ points)
-        self.anchor: FloatArray = self._sum / self._weight
-        scatter = self._products / self._weight - self.anchor[:, None] * self.anchor
-        axis = np.linalg.eigh(scatter)[1][:, 2].copy()  # in one piece, as kernels want it
-        self._direction = axis if axis @ self._direction > 0.0 else -axis
-        along = (np.concatenate([self._ends, points]) - self.anchor) @ self._direction
-        self.first, self.last = float(along.min()), float(along.max())
-        spread = np.array([[self.first], [self.last]]) * self._direction
-        self._ends = self.anchor + spread
-        self.sightings += 1
-        self.last_seen_ns = segment.last_seen_ns
-
-    def row(self) -> FloatArray:
-        rest = [self.first, self.last, self.radius]
-        return np.concatenate([self.anchor, self._direction, rest])
-
-    def beam(self) -> Beam:
+    def _beam(self, index: int) -> Beam:
+        row, group = self._rows[index], self._groups[index]
         return Beam(
-            self.anchor,
-            self._direction,
-            self.first,
-            self.last,
-            self.radius,
-            first_seen_ns=self.first_seen_ns,
-            last_seen_ns=self.last_seen_ns,
+            row[:3].copy(),
+            row[3:6].copy(),
+            float(row[6]),
+            float(row[7]),
+            float(row[8]),
+            first_seen_ns=group.first_seen_ns,
+            last_seen_ns=group.last_seen_ns,
         )
+
+
+@dataclass
+class _Group:
+    """When and how often a candidate was seen."""
+
+    first_seen_ns: int
+    last_seen_ns: int = 0
+    sightings: int = 0
