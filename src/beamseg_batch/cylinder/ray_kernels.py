@@ -133,6 +133,7 @@ def solve_4(matrix: FloatArray, right: FloatArray) -> tuple[FloatArray, bool]:
     Parameters
     ----------
     matrix : (4, 4) float64, symmetric
+        Its lower triangle is read.
     right : (4,) float64
 
     Returns
@@ -212,42 +213,53 @@ def fit_axis(
     """
     a, b = anchor.copy(), direction.copy()
     count, rms = 0, 0.0
+    matrix, right = np.empty((4, 4)), np.empty(4)
     for gate in gates:
         u, v = perpendiculars(b)
-        matrix, right = np.zeros((4, 4)), np.zeros(4)
-        jacobian = np.zeros(4)
+        ax, ay, az, bx, by, bz = a[0], a[1], a[2], b[0], b[1], b[2]
+        ux, uy, uz, vx, vy, vz = u[0], u[1], u[2], v[0], v[1], v[2]
+        pp, pq, qq, spp, spq, sqq, sspp, sspq, ssqq = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        pe, qe, spe, sqe = 0.0, 0.0, 0.0, 0.0
         count, weights, squares = 0, 0.0, 0.0
         for k in range(len(rays)):
             depth = depths[k]
             if not np.isfinite(depth):
                 continue
             wx, wy, wz = rays[k, 0], rays[k, 1], rays[k, 2]
-            entry, _, s, _ = enter_cylinder(wx, wy, wz, a[0], a[1], a[2], b[0], b[1], b[2], radius)
+            entry, _, s, _ = enter_cylinder(wx, wy, wz, ax, ay, az, bx, by, bz, radius)
             if not (first <= s <= last):
                 continue
             residual = (depth - entry) * scales[k]
             if abs(residual) >= gate:
                 continue
-            nx = (entry * wx - a[0] - s * b[0]) / radius
-            ny = (entry * wy - a[1] - s * b[1]) / radius
-            nz = (entry * wz - a[2] - s * b[2]) / radius
+            nx = (entry * wx - ax - s * bx) / radius
+            ny = (entry * wy - ay - s * by) / radius
+            nz = (entry * wz - az - s * bz) / radius
             incidence = nx * wx + ny * wy + nz * wz
             if abs(incidence) < _MIN_INCIDENCE:
                 continue
             share = residual / gate
             weight = (1.0 - share * share) ** 2
-            jacobian[0] = (nx * u[0] + ny * u[1] + nz * u[2]) / incidence * scales[k]
-            jacobian[1] = (nx * v[0] + ny * v[1] + nz * v[2]) / incidence * scales[k]
-            jacobian[2], jacobian[3] = s * jacobian[0], s * jacobian[1]
-            for row in range(4):
-                right[row] += weight * jacobian[row] * residual
-                for column in range(row + 1):
-                    matrix[row, column] += weight * jacobian[row] * jacobian[column]
+            p = (nx * ux + ny * uy + nz * uz) / incidence * scales[k]
+            q = (nx * vx + ny * vy + nz * vz) / incidence * scales[k]
+            wp, wq, wr = weight * p, weight * q, weight * residual
+            pp, pq, qq = pp + wp * p, pq + wp * q, qq + wq * q
+            spp, spq, sqq = spp + s * wp * p, spq + s * wp * q, sqq + s * wq * q
+            sspp, sspq, ssqq = (
+                sspp + s * s * wp * p,
+                sspq + s * s * wp * q,
+                ssqq + s * s * wq * q,
+            )
+            pe, qe, spe, sqe = pe + p * wr, qe + q * wr, spe + s * p * wr, sqe + s * q * wr
             count += 1
             weights += weight
-            squares += weight * residual * residual
+            squares += wr * residual
         if count < 8:
             return a, b, 0, 0.0
+        matrix[0, 0], matrix[1, 0], matrix[1, 1] = pp, pq, qq
+        matrix[2, 0], matrix[2, 1], matrix[2, 2] = spp, spq, sspp
+        matrix[3, 0], matrix[3, 1], matrix[3, 2], matrix[3, 3] = spq, sqq, sspq, ssqq
+        right[0], right[1], right[2], right[3] = pe, qe, spe, sqe
         step, regular = solve_4(matrix, right)
         if not regular:
             return a, b, 0, 0.0
