@@ -11,34 +11,34 @@ from beamseg_batch.geometry import FloatArray
 __all__ = ["free_pixels", "row_pitch", "surveyed", "without_others"]
 
 _WAYS = np.array([[0, 1], [1, 0], [1, 1], [1, -1]])
+_CLOSED, _BORDER, _OPEN = 0, 1, 2
 
 
 @kernel
 def _opens(
-    depths: FloatArray, row: int, column: int, down: int, right: int, most: int, jump: float,
-    beyond: bool,
-) -> bool:  # fmt: skip
-    """Whether something deeper, or nothing, follows within so many pixels."""
+    depths: FloatArray, row: int, column: int, down: int, right: int, most: int, jump: float
+) -> int:
+    """What follows within so many pixels: something deeper or nothing, the border, or neither."""
     here = depths[row, column]
     missing = 0
     for _ in range(most):
         row += down
         column += right
         if not (0 <= row < depths.shape[0] and 0 <= column < depths.shape[1]):
-            return beyond
+            return _BORDER
         depth = depths[row, column]
         if not np.isfinite(depth):
             # One pixel without return may have failed; two in a row saw nothing.
             missing += 1
             if missing == 2:
-                return True
+                return _OPEN
             continue
         missing = 0
         if depth > here + jump:
-            return True
+            return _OPEN
         if depth < here - jump:
-            return False
-    return False
+            return _CLOSED
+    return _CLOSED
 
 
 @kernel
@@ -78,13 +78,12 @@ def free_pixels(
             for way in range(4):
                 down, right = _WAYS[way, 0], _WAYS[way, 1]
                 step = jump[row, column]
-                ahead = _opens(depths, row, column, down, right, most, step, False)
-                if not (ahead or beyond):
+                ahead = _opens(depths, row, column, down, right, most, step)
+                if ahead == _CLOSED or (ahead == _BORDER and not beyond):
                     continue
+                behind = _opens(depths, row, column, -down, -right, most, step)
                 # In a corner of the image both sides may lie beyond; one must be seen.
-                if _opens(depths, row, column, -down, -right, most, step, ahead and beyond) and (
-                    ahead or _opens(depths, row, column, down, right, most, step, True)
-                ):
+                if behind == _OPEN or (behind == _BORDER and beyond and ahead == _OPEN):
                     free[row, column] = True
                     break
     return free
