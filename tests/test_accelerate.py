@@ -18,10 +18,10 @@ from beamseg_batch.accelerate import cache_folder, kernel
 PROGRAM = """
 import numpy as np
 from beamseg_batch.accelerate import cache_folder
-from beamseg_batch.detection.line_fit_kernels import fit_line
-fit_line(np.eye(3), np.arange(3), 3)
+from beamseg_batch.cylinder.ray_kernels import finite_depth
+finite_depth(0.9, 1.1, 0.0, 0.0, 0.0, -1.0, 1.0)
 print(cache_folder())
-print(sum(fit_line.stats.cache_hits.values()))
+print(sum(finite_depth.stats.cache_hits.values()))
 """
 
 
@@ -62,6 +62,10 @@ def test_kernel__is_kept_in_the_temporary_folder_if_there_is_no_other(tmp_path):
     assert first.parent == tmp_path
     assert first.stat().st_mode & 0o077 == 0
     assert run_fit(**blocked) == (first, 1)
+
+
+def test_kernel__runs_where_the_folder_asked_for_cannot_be_written():
+    run_fit(NUMBA_CACHE_DIR="/dev/null/none")
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs Unix permissions")

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -28,14 +26,9 @@ def shape_of(printed: str) -> str:
 
 
 @pytest.mark.parametrize("number", range(3))
-def test_example__runs_from_the_root_of_the_repository(number):
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", block("python", number)],
-        cwd=ROOT,
-        check=False,
-        capture_output=True,
-        text=True,
-        encoding="utf-8",
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    assert shape_of(done.stdout) == shape_of(block("text", number))
+def test_example__runs_from_the_root_of_the_repository(number, monkeypatch, capsys):
+    monkeypatch.chdir(ROOT)
+    exec(compile(block("python", number), str(PAGE), "exec"), {"__name__": "__main__"})
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    assert shape_of(printed.out) == shape_of(block("text", number))

@@ -30,6 +30,7 @@ __all__ = [
     "normalised",
     "parabola",
     "project_onto_line",
+    "section_frame",
     "unknown",
 ]
 
@@ -140,6 +141,31 @@ def parabola(t: Any, first: float, last: float) -> tuple[Any, Any]:
     """
     share = (2.0 * t - first - last) / (last - first)
     return 1.0 - share * share, -4.0 * share / (last - first)
+
+
+def section_frame(direction: FloatArray, roll: float = 0.0) -> FloatArray:
+    """The u and v of a cross-section, and the axis that it stands across.
+
+    Parameters
+    ----------
+    direction : (3,) float64, unit vector
+        Of the axis.
+    roll : float, radians
+        Turn of the section about it.
+
+    Returns
+    -------
+    (3, 3) float64
+        The three, as the columns of a rotation to the world. Without roll u is horizontal and
+        v points upwards; on a vertical axis u is the world's x.
+    """
+    x, y, z = direction
+    level = np.array([-y, x, 0.0])
+    across = float(np.linalg.norm(level))
+    u = np.array([1.0, 0.0, 0.0]) if across < 1e-9 else level / across
+    v = np.array([-z * u[1], z * u[0], x * u[1] - y * u[0]])
+    cos, sin = np.cos(roll), np.sin(roll)
+    return np.column_stack([cos * u + sin * v, cos * v - sin * u, direction])
 
 
 def project_onto_line(points: FloatArray, anchor: FloatArray, direction: FloatArray) -> FloatArray:

@@ -16,7 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamseg_batch.config import RunConfig
-from beamseg_batch.geometry import FloatArray, RigidTransform, covariance_along, parabola, unknown
+from beamseg_batch.geometry import (
+    FloatArray,
+    RigidTransform,
+    covariance_along,
+    parabola,
+    section_frame,
+    unknown,
+)
 from beamseg_batch.section import Section
 
 __all__ = [
@@ -255,7 +262,7 @@ class CrossSection:
         float
             From the horizontal, or on a vertical axis from the world's x; NaN without a size.
         """
-        u, v = _unrolled(direction)
+        u, v, _ = section_frame(direction).T
         return float(np.degrees(np.arctan2(self.across @ v, self.across @ u)) % 360.0)
 
 
@@ -271,17 +278,8 @@ def across_of(roll_deg: float, direction: FloatArray) -> FloatArray:
     -------
     (3,) float64, unit vector
     """
-    u, v = _unrolled(direction)
-    roll = np.radians(roll_deg)
-    across: FloatArray = np.cos(roll) * u + np.sin(roll) * v
+    across: FloatArray = section_frame(direction, np.radians(roll_deg))[:, 0]
     return across
-
-
-def _unrolled(direction: FloatArray) -> tuple[FloatArray, FloatArray]:
-    flat = np.array([-direction[1], direction[0], 0.0])
-    length = float(np.linalg.norm(flat))
-    u = np.array([1.0, 0.0, 0.0]) if length < 1e-9 else flat / length
-    return u, np.cross(direction, u)
 
 
 @dataclass(frozen=True, eq=False)
@@ -395,6 +393,15 @@ class Segment:
     def end_2(self) -> FloatArray:
         """(3,) float64, metres: the end at `t_max`."""
         return self.anchor + self.t_max * self.direction
+
+    def points_at(self, t: FloatArray) -> FloatArray:
+        """Return points of the axis, (N, 3); `t` is (N,), metres along the chord of a bent one."""
+        chord: FloatArray = self.anchor + t[:, None] * self.direction
+        if not self.is_bent:
+            return chord
+        off, _ = parabola(t[:, None], self.t_min, self.t_max)
+        bent: FloatArray = chord + off * self.bow_vector
+        return bent
 
     @property
     def midpoint(self) -> FloatArray:

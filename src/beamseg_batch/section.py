@@ -39,6 +39,11 @@ class Section:
         """Half the larger extent, metres: the radius, if the section is round."""
         return max(self.width, self.height) / 2.0
 
+    def grown(self, by: float) -> Section:
+        """Return a section whose outside lies further out by `by` metres all around."""
+        web, flange = ((t + 2.0 * by if t else 0.0) for t in (self.web, self.flange))
+        return Section(self.shape, self.width + 2.0 * by, self.height + 2.0 * by, web, flange)
+
     def plates(self) -> list[tuple[float, float, float, float]]:
         """Return the rectangles that a section which is not round is made of.
 

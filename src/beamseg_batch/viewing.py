@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
+from beamseg_batch.bars import bars_of
 from beamseg_batch.errors import BeamsegError, OutputError
-from beamseg_batch.export.bars import bars_of
-from beamseg_batch.export.meshes import mesh_of
 from beamseg_batch.extras import load_open3d
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.outputs import Run
 from beamseg_batch.outputs.single_file import staged_file
+from beamseg_batch.prisms import mesh_of
 from beamseg_batch.tables import JOINTS
 
 __all__ = ["NoPictureError", "has_display", "save_picture", "show_window"]

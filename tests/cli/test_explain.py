@@ -41,7 +41,7 @@ def arena(runs):
 @pytest.fixture(scope="module")
 def room(runs):
     """Give a run of a room without beams, with its candidates."""
-    return processed(runs / "room", "empty.mcap", "--max-scans", "20", "--keep-candidates")
+    return processed(runs / "room", "empty.mcap", "--max-scans", "12", "--keep-candidates")
 
 
 @pytest.fixture(scope="module")
@@ -84,18 +84,50 @@ def test_explain__json(ok, room):
     assert {one["reason"] for one in document["candidates"]} <= set(REASONS)
 
 
+def lines_by_reason(folder):
+    """Numbers of lines, place by place, by the stage and the reason of their refusal."""
+    table = pq.read_table(folder / "candidates.parquet").to_pydict()
+    found: dict[tuple[str, str], list[int]] = {}
+    for stage, reason, n_lines in zip(
+        table["stage"], table["reason"], table["n_lines"], strict=True
+    ):
+        if stage in {"scan", "leftovers"}:
+            found.setdefault((stage, reason), []).append(n_lines)
+    return found
+
+
+def listed(text):
+    """Rows of what was seen, and what is said of those that are left out."""
+    _, _, rest = text.partition("what was seen here, in time order\n")
+    rows = rest.partition("\n\n")[0].splitlines()
+    more = [row for row in rows if row.endswith("more; --json has them all")]
+    return [row for row in rows if row not in more], more
+
+
+EVERYWHERE = ("--at", "0,0,0.5", "--within", 50)
+
+
 def test_explain__lines_refused_for_one_reason_are_put_together(ok, room):
-    text = ok("explain", room, "--at", "0,0,0.5", "--within", 3).stdout
-    assert text.count("places, all refused; nearest to a beam: ") >= 2
-    assert len(text.splitlines()) < 30
+    rows, _ = listed(ok("explain", room, *EVERYWHERE).stdout)
+    groups = [counts for counts in lines_by_reason(room).values() if len(counts) > 1]
+    assert groups
+    told = [row.partition("; ")[0][18:] for row in rows if "places, all refused" in row]
+    assert told == [
+        f"{sum(counts)} lines at {len(counts)} places, all refused" for counts in groups
+    ]
 
 
 def test_explain__of_much_the_nearest_is_shown(ok, room, monkeypatch):
-    monkeypatch.setattr("beamseg_batch.cli.explain_command.MAX_NAMED", 3)
-    text = ok("explain", room, "--at", "0,0,0.5", "--within", 3).stdout
-    assert "more; --json has them all" in text
-    # Beside rows of lines; one is in the conclusion.
-    assert 1 <= text.count("candidate ") <= 3
+    found = json.loads(ok("explain", room, *EVERYWHERE, "--json").stdout)["candidates"]
+    n_groups = len(lines_by_reason(room))
+    others = [one for one in found if one["stage"] not in {"scan", "leftovers"}]
+    refused = sorted((one["distance"], one["candidate"]) for one in others if one["fate"] != "kept")
+    monkeypatch.setattr("beamseg_batch.cli.explain_command.MAX_NAMED", n_groups + 2)
+    rows, more = listed(ok("explain", room, *EVERYWHERE).stdout)
+    assert more == [f"  and {len(others) - 2} more; --json has them all"]
+    assert len(rows) == n_groups + 2
+    named = {row[18:].partition(" (")[0] for row in rows if row[18:].startswith("candidate ")}
+    assert named == {f"candidate {number}" for _, number in refused[:2]}
 
 
 def test_explain__negative_numbers(ok, arena):
@@ -185,7 +217,7 @@ def test_run__every_candidate_is_counted_once(run, request):
 
 
 def test_run__kept_candidates_change_nothing_for_any_number_of_jobs(room, runs):
-    options = ("empty.mcap", "--max-scans", "20")
+    options = ("empty.mcap", "--max-scans", "12")
     without = processed(runs / "without", *options)
     two = processed(runs / "two", *options, "--keep-candidates", "--jobs", "2")
     a, b, c = (read_run(folder).summary for folder in (room, without, two))

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
 
-from beamseg_batch import read_run
+from beamseg_batch import accelerate, read_run
+from tests.cli.conftest import LIGHT
 
 COMMAND = (sys.executable, "-m", "beamseg_batch")
-LIGHT = ("--set", "outputs.report=false")
 INTERRUPTED = 130
 FULL = Path("/dev/full")
 SAMPLE = Path(__file__).parents[2] / "data" / "samples" / "arena.mcap"
@@ -251,13 +253,13 @@ def test_locale__file_name_that_is_no_text(flight, here):
     assert r"flight\udcff.mcap" in done.stdout
 
 
-def test_home__cannot_be_written(flight, here):
-    surroundings = {
-        **os.environ,
-        "HOME": "/nonexistent",
-        "XDG_CACHE_HOME": "/nonexistent",
-        "NUMBA_CACHE_DIR": "/proc/nowhere",
-    }
+def test_home__cannot_be_written(flight, here, tmp_path_factory, monkeypatch):
+    temporary = tmp_path_factory.mktemp("temporary")
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    # Compiled before, as it is from the second run on.
+    shutil.copytree(accelerate.cache_folder(), accelerate._temporary_cache(), dirs_exist_ok=True)
+    nowhere = dict.fromkeys(("HOME", "XDG_CACHE_HOME"), "/dev/null/none")
+    surroundings = {**os.environ, **nowhere, "TMPDIR": str(temporary), "NUMBA_CACHE_DIR": ""}
     done = run(*COMMAND, "run", flight, "-o", "out", *LIGHT, env=surroundings)
     assert done.returncode == 0, done.stderr
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from beamseg_batch import read_run
+from tests.cli.conftest import LIGHT
 from tests.evaluation.structures import truth_of, write_truth
 
 FILES = {
@@ -37,7 +38,7 @@ def test_run__writes_all_files(ok, flight, here):
 
 
 def test_run__finds_the_beam(ok, flight):
-    ok("run", flight, "-o", "out")
+    ok("run", flight, "-o", "out", *LIGHT)
     (beam,) = read_run(Path("out")).segments
     assert beam.length == pytest.approx(1.6, abs=0.05)
     assert abs(beam.direction[1]) == pytest.approx(1.0, abs=1e-3)
@@ -47,7 +48,7 @@ def test_run__finds_the_beam(ok, flight):
 
 def test_run__any_number_of_jobs_writes_the_same(ok, flight):
     for jobs in (1, 2):
-        ok("run", flight, "-o", f"out{jobs}", "--jobs", jobs)
+        ok("run", flight, "-o", f"out{jobs}", "--jobs", jobs, *LIGHT)
     one, two = (read_run(Path(f"out{jobs}")) for jobs in (1, 2))
     assert one.summary["results_sha256"] == two.summary["results_sha256"]
     for name in ("segments.csv", "intersections.csv", "config.yaml"):
@@ -91,7 +92,9 @@ def test_run__broken_truth_is_found_before_the_work(call, flight, here):
 
 
 def test_run__names_the_waypoints_where_something_is_to_be_flown_again(ok, flight, here):
-    result = ok("run", flight, "-o", "out", "--set", "outputs.fly_again.max_sigma_offset=1e-9")
+    result = ok(
+        "run", flight, "-o", "out", "--set", "outputs.fly_again.max_sigma_offset=1e-9", *LIGHT
+    )
     assert result.stdout.splitlines()[0].endswith("; to fly again: fly_again.csv")
     assert (here / "out" / "fly_again.csv").read_text().startswith("x,y,z,yaw,duration\n")
 
@@ -103,35 +106,35 @@ def test_run__names_the_folder_when_there_is_no_report(ok, flight):
 
 
 def test_run__quiet_says_nothing(ok, flight):
-    result = ok("run", flight, "-o", "out", "-q")
+    result = ok("run", flight, "-o", "out", "-q", *LIGHT)
     assert result.output == ""
 
 
 def test_run__verbosity_of_the_configuration(ok, flight):
-    assert ok("run", flight, "-o", "a", "--set", "outputs.verbosity=0").output == ""
-    detailed = ok("run", flight, "-o", "b", "--set", "outputs.verbosity=2")
+    assert ok("run", flight, "-o", "a", "--set", "outputs.verbosity=0", *LIGHT).output == ""
+    detailed = ok("run", flight, "-o", "b", "--set", "outputs.verbosity=2", *LIGHT)
     assert detailed.stderr.count("beamseg: scan ") == 6
 
 
 def test_run__verbose_tells_of_every_scan(ok, flight):
-    assert ok("run", flight, "-o", "out", "-v").stderr.count("beamseg: scan ") == 6
+    assert ok("run", flight, "-o", "out", "-v", *LIGHT).stderr.count("beamseg: scan ") == 6
 
 
 @pytest.mark.parametrize("extra", [[], ["-q"], ["-v"]])
 def test_run__json_is_all_there_is_on_stdout(ok, flight, extra):
-    result = ok("run", flight, "-o", "out", "--json", *extra)
+    result = ok("run", flight, "-o", "out", "--json", *extra, *LIGHT)
     assert json.loads(result.stdout) == json.loads(Path("out/summary.json").read_bytes())
 
 
 def test_run__default_folder_is_named_after_the_file(ok, flight, here):
-    ok("run", flight)
+    ok("run", flight, *LIGHT)
     assert names_in(here) == {"flight"}
 
 
 def test_run__default_folder_is_not_the_ros2_bag(ok, ros2_bag, here):
     shutil.copytree(ros2_bag, "flight")
     before = names_in(here / "flight")
-    ok("run", "flight/")
+    ok("run", "flight/", *LIGHT)
     assert names_in(here) == {"flight", "flight_beams"}
     assert names_in(here / "flight") == before
 
@@ -139,19 +142,19 @@ def test_run__default_folder_is_not_the_ros2_bag(ok, ros2_bag, here):
 def test_run__default_folder_is_not_the_folder_of_the_file(ok, ros2_bag, here):
     shutil.copytree(ros2_bag, "flight")
     before = names_in(here / "flight")
-    ok("run", "flight/flight.db3")
+    ok("run", "flight/flight.db3", *LIGHT)
     assert names_in(here) == {"flight", "flight_beams"}
     assert names_in(here / "flight") == before
 
 
 def test_run__default_folder_of_a_file_without_suffix(ok, flight, here):
     shutil.copy(flight, "log")
-    ok("run", "log")
+    ok("run", "log", *LIGHT)
     assert names_in(here) == {"log", "log_beams"}
 
 
 def test_run__default_folder_of_a_ros2_bag_elsewhere(ok, ros2_bag, here):
-    ok("run", ros2_bag)
+    ok("run", ros2_bag, *LIGHT)
     assert names_in(here) == {"flight"}
 
 
@@ -159,8 +162,8 @@ def test_run__working_folder_is_elsewhere(ok, flight, here, monkeypatch):
     (here / "a" / "b").mkdir(parents=True)
     shutil.copy(flight, here / "a" / "log.mcap")
     monkeypatch.chdir(here / "a" / "b")
-    ok("run", "../log.mcap")
-    ok("run", "../log.mcap", "-o", "../out")
+    ok("run", "../log.mcap", *LIGHT)
+    ok("run", "../log.mcap", "-o", "../out", *LIGHT)
     assert names_in(here / "a") == {"b", "log.mcap", "out"}
     assert names_in(here / "a" / "b") == {"log"}
 
@@ -201,21 +204,21 @@ def test_run__odd_file_names(ok, flight, here, name):
 
 def test_run__default_folder_of_an_odd_file_name(ok, flight, here):
     shutil.copy(flight, "Übung 1.2.mcap")
-    ok("run", "Übung 1.2.mcap")
+    ok("run", "Übung 1.2.mcap", *LIGHT)
     assert names_in(here) == {"Übung 1.2.mcap", "Übung 1.2"}
 
 
 def test_run__several_paths_are_one_flight(ok, flight, ros2_bag):
-    one = json.loads(ok("run", flight, "-o", "one", "--json").stdout)
-    two = json.loads(ok("run", flight, ros2_bag, "-o", "two", "--json").stdout)
+    one = json.loads(ok("run", flight, "-o", "one", "--json", *LIGHT).stdout)
+    two = json.loads(ok("run", flight, ros2_bag, "-o", "two", "--json", *LIGHT).stdout)
     assert two["counts"]["clouds"] == 2 * one["counts"]["clouds"]
     assert two["recording"]["files"] == ["flight.mcap", "flight"]
 
 
 def test_run__extrinsic_moves_the_beam(ok, flight):
-    ok("run", flight, "-o", "a")
-    ok("run", flight, "-o", "b", "--extrinsic", "0.25, -0.5, 0.125")
-    ok("run", flight, "-o", "c", "--extrinsic", "0,0,0,0,0,90")
+    ok("run", flight, "-o", "a", *LIGHT)
+    ok("run", flight, "-o", "b", "--extrinsic", "0.25, -0.5, 0.125", *LIGHT)
+    ok("run", flight, "-o", "c", "--extrinsic", "0,0,0,0,0,90", *LIGHT)
     (plain,), (moved,), (turned,) = (read_run(Path(name)).segments for name in "abc")
     assert moved.midpoint - plain.midpoint == pytest.approx([0.25, -0.5, 0.125], abs=1e-6)
     assert abs(turned.direction[0]) == pytest.approx(1.0, abs=1e-3)

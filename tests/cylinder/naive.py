@@ -252,6 +252,14 @@ class BentTube:
 
     def entry(self, rays, near=0.2, far=2.5):
         """Depths at which rays enter, and where along the chord; NaN where they miss."""
+        across = np.cross(rays, self.b)
+        to_chord = np.abs(across @ self.a) / np.linalg.norm(across, axis=1)
+        close = to_chord < self.radius + np.linalg.norm(self.bow)  # others cannot meet the tube
+        found = np.full((2, len(rays)), np.nan)
+        found[:, close] = self._entry(rays[close], near, far)
+        return found
+
+    def _entry(self, rays, near, far):
         depths = np.arange(near, far, 0.01)
         points = (rays[:, None] * depths[:, None]).reshape(-1, 3)
         off = self._off(points, self.nearest(points)).reshape(len(rays), -1)

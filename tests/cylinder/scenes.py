@@ -40,7 +40,7 @@ def some_beams(rng, count):
 
 def recorded(points):
     """Points as those of a recording are kept: single precision, read only."""
-    points = np.asarray(points, np.float32)
+    points = np.array(points, np.float32)
     points.flags.writeable = False
     return points
 
@@ -77,7 +77,7 @@ def scene_of(beams, rng, *, size=SIZE, noise=NOISE, wall=np.inf, depths=None):
 def view_of(scene, width):
     """What the kernels take as a scan."""
     return View(
-        scene.points, scene.rays, width, scene.image, *scene.noise,
+        recorded(scene.points), scene.rays, width, scene.image, *scene.noise,
         scene.low, scene.high, scene.up, scene.height, scene.floor, scene.blur,
         scene.footprint,
     )  # fmt: skip

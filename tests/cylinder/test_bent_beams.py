@@ -91,8 +91,7 @@ def test_gather__normal_equations_of_a_bent_beam(seed):
     scene, _ = bent_scene(seed)
     scene.anchors = scene.anchors + 0.0002 * scene.us - 0.0003 * scene.vs
     entry = met(scene)[:, 1]
-    scene.points = (scene.rays * entry[:, None]).astype(np.float32)
-    scene.points.flags.writeable = False
+    scene.points = scene.rays * entry[:, None]
     scene.anchors = scene.anchors - 0.0002 * scene.us + 0.0003 * scene.vs
     total = gathered(scene, flanks=False).normal.sum(axis=0)
     matrix = np.array([[total[0], total[1]], [total[1], total[2]]])
@@ -105,7 +104,7 @@ def test_gather__normal_equations_of_a_bent_beam(seed):
 def test_gather__scatter_tells_of_the_square_of_the_place():
     scene, _ = bent_scene(3)
     entry = met(scene)[:, 1]
-    scene.points = (scene.rays * (entry[:, None] + 0.004)).astype(np.float32)
+    scene.points = scene.rays * (entry[:, None] + 0.004)
     sums = gathered(scene, flanks=False)
     middles = scene.starts[0] + 0.02 * (np.arange(len(sums.normal)) + 0.5)
     squares = sums.normal[:, 11:13] * middles[:, None]
@@ -117,8 +116,7 @@ def test_gather__scatter_tells_of_the_square_of_the_place():
 def test_gather_ends__likes_the_ends_of_a_bent_beam():
     scene, _ = bent_scene(4)
     nearest = met(scene)[:, 2]
-    scene.points = (scene.rays * np.where(nearest < 9, nearest, np.nan)[:, None]).astype(np.float32)
-    scene.points.flags.writeable = False
+    scene.points = scene.rays * np.where(nearest < 9, nearest, np.nan)[:, None]
     places = np.arange(-20.0, 21.0) * 0.002
     likelihood = np.zeros((1, 2, len(places)))
     beams, meetings = cylinders_of(scene), meetings_of(len(scene.points))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from beamseg_batch.export.bars import bars_of, beams_of, section_name
-from beamseg_batch.export.meshes import mesh_of, outline
+from beamseg_batch.bars import bars_of, beams_of, section_name
+from beamseg_batch.prisms import mesh_of, outline
 from beamseg_batch.world.scene import Member, Section
 
 SECTIONS = {

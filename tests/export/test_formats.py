@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from beamseg_batch.bars import beams_of
 from beamseg_batch.errors import RunError
 from beamseg_batch.export import FORMATS, Origin, export_run
-from beamseg_batch.export.bars import beams_of
 from beamseg_batch.export.graph import schema
-from beamseg_batch.export.meshes import mesh_of
+from beamseg_batch.prisms import mesh_of
 from tests.export.conftest import OFF_AXIS
 from tests.export.test_bars import SECTIONS, columns_of
 
@@ -215,10 +215,8 @@ def earth_from(longitude, latitude, height) -> np.ndarray:
     return np.array([across * np.cos(lon), across * np.sin(lon), z])
 
 
-def test_geojson__distances_and_directions_are_those_of_the_tables(run, tmp_path):
-    document = json.loads(exported(run, tmp_path / "s.geojson", origin=ORIGIN).read_text())
-    lines = [f for f in document["features"] if f["geometry"]["type"] == "LineString"]
-    points = [f for f in document["features"] if f["geometry"]["type"] == "Point"]
+def from_map(places) -> np.ndarray:
+    """(N, 3), metres, world frame: where a map of `ORIGIN` has its places."""
     lon, lat, turn = np.radians([ORIGIN.longitude, ORIGIN.latitude, ORIGIN.heading])
     centre = earth_from(ORIGIN.longitude, ORIGIN.latitude, ORIGIN.altitude)
     east = np.array([-np.sin(lon), np.cos(lon), 0.0])
@@ -226,11 +224,17 @@ def test_geojson__distances_and_directions_are_those_of_the_tables(run, tmp_path
     north = np.cross(up, east)
     x = np.cos(turn) * east - np.sin(turn) * north
     T = np.array([x, np.cross(up, x), up])
+    return np.array([T @ (earth_from(*place) - centre) for place in places])
+
+
+def test_geojson__distances_and_directions_are_those_of_the_tables(run, tmp_path):
+    document = json.loads(exported(run, tmp_path / "s.geojson", origin=ORIGIN).read_text())
+    lines = [f for f in document["features"] if f["geometry"]["type"] == "LineString"]
+    points = [f for f in document["features"] if f["geometry"]["type"] == "Point"]
     for feature, pair in zip(lines, ends(run, "members"), strict=True):
-        coordinates = feature["geometry"]["coordinates"]
-        found = [T @ (earth_from(*place) - centre) for place in coordinates]
+        found = from_map(feature["geometry"]["coordinates"])
         np.testing.assert_allclose(found, pair, atol=2 * EXACT)
-    found = [T @ (earth_from(*f["geometry"]["coordinates"]) - centre) for f in points]
+    found = from_map(feature["geometry"]["coordinates"] for feature in points)
     np.testing.assert_allclose(found, joints(run), atol=2 * EXACT)
 
 

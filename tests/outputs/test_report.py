@@ -16,15 +16,20 @@ import numpy as np
 import pytest
 from plotly.offline import get_plotlyjs
 
+from beamseg_batch.geometry import section_frame
+from beamseg_batch.model import CrossSection
 from beamseg_batch.outputs.columns import segment_columns
-from beamseg_batch.outputs.figures import beam_mesh, structure_scene
+from beamseg_batch.outputs.figures import structure_scene
 from beamseg_batch.outputs.fly_again import plan_flight
 from beamseg_batch.outputs.report import MAX_TABLE_ROWS, render_report
 from beamseg_batch.outputs.summary import summarise
 from beamseg_batch.pages.drawing import Drawing
-from beamseg_batch.pages.figures import thinned
-from beamseg_batch.pages.rendering import Html, Section
+from beamseg_batch.pages.rendering import Html
+from beamseg_batch.pages.rendering import Section as PageSection
+from beamseg_batch.prisms import outline
+from beamseg_batch.section import Section
 from beamseg_batch.tables import SEGMENTS
+from tests.outputs.conftest import build_flight
 
 FIGURES = ["structure", "processing", "by-lines", "points", "lines", "size", "gaps"]
 HOSTILE = "</script><script>alert('x')</script><img src=x onerror=alert(1)>&\"{{ 7*7 }}"
@@ -79,9 +84,15 @@ def scene(flight):
     return structure_scene(flight, plan_flight(flight)).figure()
 
 
-@pytest.fixture
-def page(flight):
-    return Page(render_report(flight))
+@pytest.fixture(scope="module")
+def html():
+    """Report of the flight that the fixture `flight` gives."""
+    return render_report(build_flight())
+
+
+@pytest.fixture(scope="module")
+def page(html):
+    return Page(html)
 
 
 def test_render_report__requests_nothing(page):
@@ -123,7 +134,7 @@ def test_render_report__flight_of_an_hour_is_under_8_megabytes(make_flight):
 
 
 def test_render_report__far_too_many_beams_are_still_under_8_megabytes(make_flight):
-    flight = make_flight(n_segments=5000, n_scans=12_000, n_cloud=200_000)
+    flight = make_flight(n_segments=5000, n_scans=3_500, n_cloud=40_000)
     joints, intersections = flight.joints * 4, flight.intersections * 4
     html = render_report(dataclasses.replace(flight, intersections=intersections, joints=joints))
     assert len(html.encode()) < 8_000_000
@@ -147,8 +158,8 @@ def rows_of(html, table):
     ]
 
 
-def test_render_report__lists_and_draws_the_joints(page, flight):
-    rows = rows_of(render_report(flight), "joints")
+def test_render_report__lists_and_draws_the_joints(page, html, flight):
+    rows = rows_of(html, "joints")
     for number, joint in enumerate(flight.joints):
         row = rows[number]
         place = [f"{value:.3f}" for value in joint.position]
@@ -209,8 +220,8 @@ def test_render_report__a_box_per_number_of_lines(page, flight):
         np.testing.assert_allclose(decoded(boxes[name]), expected, rtol=1e-6)
 
 
-def test_render_report__all_columns_of_the_beams_are_there(flight):
-    (first, *_) = rows_of(render_report(flight), "segments")
+def test_render_report__all_columns_of_the_beams_are_there(html, flight):
+    (first, *_) = rows_of(html, "segments")
     assert set(first) == {*SEGMENTS.column_names, "quality", "remarks"}
     beam = flight.segments[0]
     assert first["length"] == f"{beam.length:.3f}"
@@ -270,7 +281,7 @@ def test_render_report__beams_are_coloured_by_quality_shape_and_time(page, fligh
 def test_render_report__more_sections(flight):
     drawing = Drawing({"data": [], "layout": {}}, ("<svg></svg>",), "nothing")
     html = render_report(
-        flight, sections=[Section("more", "And more", Html("<b>so</b>"), {"x": drawing})]
+        flight, sections=[PageSection("more", "And more", Html("<b>so</b>"), {"x": drawing})]
     )
     page = Page(html)
     assert "And more" in page.text
@@ -399,44 +410,34 @@ def test_render_report__a_label_per_beam(page):
     assert decoded(mesh["k"]).max() < len(decoded(mesh["x"]))
 
 
-def test_beam_mesh__is_the_cylinder(flight):
-    beam = flight.segments[0]
-    mesh = beam_mesh([beam])
-    t = (mesh.vertices - beam.anchor) @ beam.direction
-    feet = beam.anchor + np.outer(t, beam.direction)
-    distances = np.linalg.norm(mesh.vertices - feet, axis=1)
-    np.testing.assert_allclose(distances[:-2], beam.radius, atol=1e-5)
-    np.testing.assert_allclose(distances[-2:], 0.0, atol=1e-5)
-    np.testing.assert_allclose([t.min(), t.max()], [beam.t_min, beam.t_max], atol=1e-5)
+def shown(drawn):
+    """Vertices of the bodies of a trace, body by body."""
+    places = np.stack([decoded(drawn[axis]) for axis in "xyz"], axis=1).astype(float)
+    return np.split(places, np.cumsum(drawn["meta"]["counts"])[:-1])
 
 
-def test_beam_mesh__is_closed_and_faces_outwards(flight):
-    beam = flight.segments[0]
-    mesh = beam_mesh([beam])
-    edges = Counter(
-        (int(t[k]), int(t[(k + 1) % 3])) for t in mesh.triangles.astype(int) for k in range(3)
+def test_structure_scene__beams_have_their_true_sections_and_bows(make_flight):
+    flight = make_flight(n_segments=3)
+    i_beam = Section("i", 0.1, 0.2, 0.01, 0.02)
+    first, second, third = flight.segments
+    across = section_frame(first.direction, 0.4)
+    sideways = section_frame(second.direction)[:, 1]
+    segments = (
+        dataclasses.replace(first, cross_section=CrossSection("i", i_beam, across[:, 0])),
+        dataclasses.replace(second, bow_vector=0.05 * sideways, sigma_bow=0.001),
+        dataclasses.replace(third, cross_section=CrossSection("unknown")),
     )
-    assert set(edges.values()) == {1}
-    assert all((b, a) in edges for a, b in edges)
-    corners = mesh.vertices[mesh.triangles].astype(float) - beam.midpoint
-    volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
-    sides = 12
-    area = 0.5 * sides * beam.radius**2 * np.sin(2 * np.pi / sides)
-    assert volume == pytest.approx(area * beam.length, rel=1e-3)
-
-
-def test_beam_mesh__no_beams():
-    mesh = beam_mesh([])
-    assert mesh.vertices.shape == mesh.triangles.shape == (0, 3)
-    assert len(mesh.counts) == 0
-
-
-@pytest.mark.parametrize(("size", "limit"), [(0, 5), (5, 5), (6, 5), (200_000, 30_000), (7, 0)])
-def test_thinned__is_even_and_within_the_limit(size, limit):
-    indices = thinned(size, limit)
-    assert len(indices) == min(size, limit)
-    assert np.all(np.diff(indices) >= 1)
-    if len(indices):
-        assert np.diff(indices).max(initial=0) - np.diff(indices).min(initial=10**9) <= 1
-        assert indices[0] == 0
-        assert indices[-1] < size
+    flight = dataclasses.replace(flight, segments=segments)
+    figure = scene(flight)
+    first_drawn, second_drawn, third_drawn = shown(trace({"structure": figure}, "beams"))
+    local = (first_drawn - first.anchor) @ across
+    apart = np.linalg.norm(local[:, None, :2] - outline(i_beam), axis=2)
+    assert apart.min(axis=1).max() < 1e-5
+    assert np.ptp(local[:, 2]) == pytest.approx(first.length, abs=1e-5)
+    for beam, drawn in zip(segments[1:], (second_drawn, third_drawn), strict=True):
+        t = (drawn - beam.anchor) @ beam.direction
+        off = np.linalg.norm(drawn - beam.points_at(t), axis=1)
+        np.testing.assert_allclose(off, beam.radius, atol=1e-4)
+    members = shown(trace({"structure": figure}, "members"))
+    of_first = members[[member.segment for member in flight.members].index(0)]
+    assert np.ptp((of_first - first.anchor) @ across[:, 1]) == pytest.approx(0.208, abs=1e-5)

@@ -7,6 +7,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from beamseg_batch.config import RunConfig
 from beamseg_batch.errors import NoScansError
 from beamseg_batch.model import Scan, SkippedScan
 from beamseg_batch.recording import open_flight, open_recording
@@ -43,13 +44,20 @@ LONG = {"clouds": some_clouds(50, 1000), "poses": some_poses(500, 100)}
 """Fifty seconds, with a cloud each second: longer than the margins around a selection."""
 
 
+@pytest.fixture(scope="module", params=KINDS)
+def long(request, tmp_path_factory):
+    """Fifty seconds as a recording of every kind, and all its scans by their index."""
+    path = write_recording(tmp_path_factory.mktemp("long"), request.param, **LONG)
+    scans = open_flight(open_recording(path), RunConfig()).scans()
+    return path, {scan.index: scan for scan in scans}
+
+
 @pytest.fixture
 def unheld(monkeypatch):
     """Nothing is held in memory, as of a long recording."""
     monkeypatch.setattr("beamseg_batch.recording.source._MOST_HELD_BYTES", 0)
 
 
-@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(
     "chosen",
     [
@@ -59,9 +67,9 @@ def unheld(monkeypatch):
         {"start_s": 44.0, "every": 2, "max_scans": 2},
     ],
 )
-def test_scans__sought_are_those_of_the_stream(fly, unheld, kind, chosen):
-    every = {scan.index: scan for scan in fly(kind=kind, **LONG).scans()}
-    found = list(fly(configured(recording=chosen), kind=kind, **LONG).scans())
+def test_scans__sought_are_those_of_the_stream(long, unheld, chosen):
+    path, every = long
+    found = list(open_flight(open_recording(path), configured(recording=chosen)).scans())
     start_s, step = chosen.get("start_s", 0.0), chosen.get("every", 1)
     stop_s = start_s + chosen.get("duration_s", 100.0)
     expected = [k for k in range(50) if start_s <= k < stop_s][::step]

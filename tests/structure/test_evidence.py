@@ -155,6 +155,21 @@ def test_ask__beams_that_are_out_of_reach_change_nothing():
         np.testing.assert_array_equal(among.sums[name], values)
 
 
+@pytest.mark.parametrize("flanks", [False, True])
+def test_ask__scans_that_no_beam_is_in_reach_of_add_nothing(flanks):
+    scans = [look(POSES[0], [RAIL], np.random.default_rng(0))]
+    pixels = PixelRays()
+    pixels.learn(scans[0])
+    camera = questions.Camera(load_config("precise").filtering, NOISE, pixels)
+    rail = hypothesis_of(RAIL)
+    far = replace(rail, anchor=rail.anchor + np.array([0.0, 0.0, 20.0]))
+    question = questions.AxisQuestion([far], camera, competitors="all", tukey=4.0, flanks=flanks)
+    sums, answer = question.sums(), question.ask(scans)
+    sums.add(answer)
+    assert answer.beams.tolist() == []
+    assert not any(sums_of.any() for sums_of in (sums.evidence.hits, sums.evidence.flanks))
+
+
 def test_PixelRays__pixels_that_return_late_are_learned_all_the_same():
     scan = look(POSES[0], [RAIL], np.random.default_rng(0))
     full = look(POSES[0], [RAIL], np.random.default_rng(0), wall=2.0)

@@ -118,10 +118,7 @@ def command(
     from beamseg_batch.parallel import load_ahead, one_thread_each
 
     one_thread_each()
-    if keep:
-        settings = (*options.settings, "outputs.candidates=true")
-        options = dataclasses.replace(options, settings=settings)
-    config = options.load()
+    config = _configuration(options, keep)
     if jobs != 1:
         load_ahead()
 
@@ -133,28 +130,15 @@ def command(
     folder = _output_folder(recording, output, config)
     check_output(folder, config, overwrite=overwrite)
     if record is not None:
-        from beamseg_batch.replay import check_views
-
-        if any(_are_same(path, place) for path in recording for place in (record, record.parent)):
-            raise OutputError(
-                f"{record} would replace or change the recording; choose another name"
-            )
-        check_views(record, overwrite=overwrite)
+        _check_record(record, recording, overwrite=overwrite)
     more = _nothing if truth is None else _comparison(truth)
     if level >= 1:
         note(f"reading {', '.join(map(str, recording))} ({opened.container})")
 
-    from beamseg_batch.pipeline import process_flight
-
-    begin_work()
-    with stop_on_interrupt() as stop_asked, ScanProgress(enabled=level >= 1) as progress:
-        result = process_flight(
-            opened, config, jobs=jobs, progress=progress, should_stop=stop_asked
-        )
-        asked = stop_asked()
+    result, asked_to_stop = _process(opened, config, jobs, shown=level >= 1)
     _tell(result, level)
     written = _write(result, folder, overwrite, more)
-    if record is not None and not asked:
+    if record is not None and not asked_to_stop:
         _record(opened, result, record, jobs=jobs, overwrite=overwrite)
         if level >= 1:
             note(f"replay of {len(result.scans)} scans in {record}")
@@ -164,7 +148,37 @@ def command(
         say(_five_lines(result, written))
     if result.interrupted:
         warn(f"incomplete: {result.warnings[-1]}; what is known is in {written.folder}")
-        click.get_current_context().exit(INTERRUPTED if asked else FAILED)
+        click.get_current_context().exit(INTERRUPTED if asked_to_stop else FAILED)
+
+
+def _configuration(options: ConfigOptions, keep: bool) -> RunConfig:
+    if keep:
+        settings = (*options.settings, "outputs.candidates=true")
+        options = dataclasses.replace(options, settings=settings)
+    return options.load()
+
+
+def _check_record(record: Path, recording: tuple[Path, ...], *, overwrite: bool) -> None:
+    """Refuse a place for the replay before any work is done."""
+    from beamseg_batch.replay import check_views
+
+    if any(_are_same(path, place) for path in recording for place in (record, record.parent)):
+        raise OutputError(f"{record} would replace or change the recording; choose another name")
+    check_views(record, overwrite=overwrite)
+
+
+def _process(
+    recording: Recording, config: RunConfig, jobs: int, *, shown: bool
+) -> tuple[FlightResult, bool]:
+    """Process the flight; whether it was asked to stop, too."""
+    from beamseg_batch.pipeline import process_flight
+
+    begin_work()
+    with stop_on_interrupt() as stop_asked, ScanProgress(enabled=shown) as progress:
+        result = process_flight(
+            recording, config, jobs=jobs, progress=progress, should_stop=stop_asked
+        )
+        return result, stop_asked()
 
 
 def _output_folder(recording: tuple[Path, ...], output: Path | None, config: RunConfig) -> Path:

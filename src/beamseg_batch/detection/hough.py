@@ -118,6 +118,7 @@ def iterative_hough(
         raise ConfigError(f"dx must be above 0, not {dx}")
     if len(points) < 2:
         return
+    points = np.ascontiguousarray(points, np.float64)  # the kernels are compiled for no others
     low, high, finite = bounding_box(points)
     if not finite:
         raise ShapeError("points must be finite")

@@ -20,6 +20,7 @@ __all__ = ["check_outlier_filter", "without_outliers"]
 _NEIGHBOURS, _DEVIATIONS = 20, 2.0
 _FEWEST = 50
 _PLANE_REACH_M, _PLANE_TRIALS, _MOST_PLANES = 0.03, 300, 5
+_EVERY_TRIAL = 1.0  # probability asked for; below it threads decide which trial is the last
 _PLANE_SHARE = 0.15  # of the points, for a plane to be large
 _PLANE_WIDTH_M = 0.4  # least extent of a large plane across its longest side
 _CLUSTER_REACH_M, _CLUSTER_CORE = 0.08, 6
@@ -92,7 +93,7 @@ def _off_planes(cloud: Any) -> NDArray[np.int64]:
         if len(left) < _FEWEST:
             break
         rest = cloud.select_by_index(left)
-        plane = rest.segment_plane(_PLANE_REACH_M, 3, _PLANE_TRIALS)[1]
+        plane = rest.segment_plane(_PLANE_REACH_M, 3, _PLANE_TRIALS, _EVERY_TRIAL)[1]
         if len(plane) < _PLANE_SHARE * len(points) or not _is_wide(points[left[plane]]):
             break
         left = np.delete(left, plane)

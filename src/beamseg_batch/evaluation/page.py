@@ -16,7 +16,8 @@ from beamseg_batch.geometry import FloatArray
 from beamseg_batch.pages.charts import Chart, Series
 from beamseg_batch.pages.drawing import Drawing
 from beamseg_batch.pages.rendering import Section, render_page, render_part
-from beamseg_batch.pages.scenes import Cylinders, Marks, Scene
+from beamseg_batch.pages.scenes import Bars, Marks, Scene
+from beamseg_batch.prisms import round_prism
 
 __all__ = ["errors_chart", "evaluation_section", "overlay_scene", "render_evaluation"]
 
@@ -107,15 +108,15 @@ def overlay_scene(evaluation: Evaluation) -> Scene:
     truth, result = evaluation.truth, evaluation.result
     true_ends = np.stack([truth.axes.starts, truth.axes.ends], axis=1)
     ends = np.stack([result.axes.starts, result.axes.ends], axis=1)
-    parts: list[Cylinders | Marks] = []
+    parts: list[Bars | Marks] = []
     for name, colour, opacity, rows in _members_by_fate(evaluation):
         labels = [f"<b>member {escape(truth.names[m])}</b><br>{_size(truth, m)}" for m in rows]
         radii = _TRUE_SHARE * truth.radii
-        parts.append(_cylinders(name, colour, true_ends, radii, rows, labels, opacity))
+        parts.append(_bars(name, colour, true_ends, radii, rows, labels, opacity))
     for verdict, colour in _COLOURS.items():
         rows = [s for s, found in enumerate(evaluation.verdicts) if found == verdict]
         labels = [_segment_label(evaluation, s) for s in rows]
-        parts.append(_cylinders(verdict, colour, ends, result.radii, rows, labels))
+        parts.append(_bars(verdict, colour, ends, result.radii, rows, labels))
     shown = np.concatenate([true_ends.reshape(-1, 3), ends.reshape(-1, 3)])
     return Scene((*parts, *_joints(evaluation)), shown, "truth and result over one another")
 
@@ -165,7 +166,7 @@ def _members_by_fate(evaluation: Evaluation) -> list[tuple[str, str, float, list
     ]
 
 
-def _cylinders(
+def _bars(
     name: str,
     colour: str,
     ends: FloatArray,
@@ -173,9 +174,9 @@ def _cylinders(
     rows: list[int],
     labels: list[str],
     opacity: float = 1.0,
-) -> Cylinders:
-    rows, labels = rows[:MAX_DRAWN], labels[:MAX_DRAWN]
-    return Cylinders(name, colour, ends[rows], radii[rows], labels, opacity=opacity)
+) -> Bars:
+    prisms = [round_prism(ends[row, 0], ends[row, 1], radii[row]) for row in rows[:MAX_DRAWN]]
+    return Bars(name, colour, prisms, labels[:MAX_DRAWN], opacity=opacity)
 
 
 def _joints(evaluation: Evaluation) -> list[Marks]:

@@ -10,10 +10,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from beamseg_batch.bars import Bar, bars_of
 from beamseg_batch.errors import RunError
-from beamseg_batch.export.bars import Bar, bars_of
 from beamseg_batch.export.geodesy import Origin
-from beamseg_batch.geometry import FloatArray, distances_to_line, line_parameters
+from beamseg_batch.geometry import FloatArray, line_parameters
 from beamseg_batch.outputs import Run
 from beamseg_batch.tables import JOINTS, MEMBERS, SEGMENTS, ColumnArrays, Table
 
@@ -108,7 +108,7 @@ class Content:
             reach = 2.0 * beam.radius  # the surface, whether the axis is behind it or on it
             t = line_parameters(where, beam.anchor, beam.direction)
             close = np.flatnonzero((t >= beam.t_min - reach) & (t <= beam.t_max + reach))
-            off = distances_to_line(where[close], beam.anchor, beam.direction)
+            off = np.linalg.norm(where[close] - beam.points_at(t[close]), axis=1)
             closer = (off <= reach) & (off < nearest[close])
             nearest[close[closer]], beams[close[closer]] = off[closer], number
         on_beam = beams >= 0

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from beamseg_batch.export.bars import Bar, section_name
+from beamseg_batch.bars import Bar, section_name
 from beamseg_batch.export.content import Content
-from beamseg_batch.export.meshes import mesh_of
 from beamseg_batch.extras import load_extra
+from beamseg_batch.prisms import mesh_of
 
 __all__ = ["AXES", "JOINTS", "write_dxf"]
 

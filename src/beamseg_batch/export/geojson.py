@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from beamseg_batch.export.bars import section_name
+from beamseg_batch.bars import section_name
 from beamseg_batch.export.content import Content
 from beamseg_batch.export.geodesy import Origin
 from beamseg_batch.geometry import FloatArray

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from beamseg_batch.export.bars import Bar, section_name
+from beamseg_batch.bars import Bar, section_name
 from beamseg_batch.export.content import Content
+from beamseg_batch.section import Section
 from beamseg_batch.tables import JOINTS, MEMBERS
-from beamseg_batch.world.scene import Section
 
 __all__ = ["SCHEMA_FILE", "SCHEMA_VERSION", "structural_graph", "write_graph"]
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 """Raised when a key changes its name or its meaning."""
 
 SCHEMA_FILE = "structural_graph.schema.json"
@@ -109,5 +109,5 @@ def _member(bar: Bar, section: str, ends: list[str]) -> dict[str, Any]:
         "section": section,
         "axis_u": bar.rotation[:, 0].tolist(),
         "roll_deg": bar.roll_deg,
-        "bow": float(np.linalg.norm(bar.bow)),
+        "bow": bar.bow.tolist(),
     }

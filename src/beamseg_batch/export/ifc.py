@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from beamseg_batch.export.bars import Bar, section_name
+from beamseg_batch.bars import Bar, section_name
 from beamseg_batch.export.content import Content
-from beamseg_batch.export.meshes import outline
 from beamseg_batch.extras import load_extra
 from beamseg_batch.geometry import FloatArray, normalised
+from beamseg_batch.prisms import outline
+from beamseg_batch.section import Section
 from beamseg_batch.tables import MEMBERS, SEGMENTS
-from beamseg_batch.world.scene import Section
 
 __all__ = ["PROPERTIES", "write_ifc"]
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from beamseg_batch.export.content import Content
-from beamseg_batch.export.meshes import Mesh, mesh_of
 from beamseg_batch.extras import load_extra
+from beamseg_batch.prisms import Mesh, mesh_of
 
 __all__ = ["joined", "write_mesh", "write_scene"]
 

@@ -172,7 +172,7 @@ def member_columns(members: Sequence[Member], segments: Sequence[Segment]) -> Co
     """
     beams = [segments[member.segment] for member in members]
     ends = [
-        (beam.anchor + member.t_1 * beam.direction, beam.anchor + member.t_2 * beam.direction)
+        beam.points_at(np.array([member.t_1, member.t_2]))
         for member, beam in zip(members, beams, strict=True)
     ]
     columns: ColumnArrays = {

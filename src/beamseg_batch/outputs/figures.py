@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
 
+from beamseg_batch.bars import bars_of, beams_of
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import FlightResult, Joint, Member, ScanRecord, Segment
-from beamseg_batch.outputs.columns import time_origin_ns
+from beamseg_batch.outputs.columns import member_columns, segment_columns, time_origin_ns
 from beamseg_batch.outputs.fly_again import FlightPlan, Look
 from beamseg_batch.pages.charts import Chart, Limit, Series, envelope, histogram, quartiles
-from beamseg_batch.pages.figures import Mesh, cylinder_mesh, thinned
-from beamseg_batch.pages.scenes import Cylinders, Marks, Path, Points, Scene, Shade
+from beamseg_batch.pages.figures import thinned
+from beamseg_batch.pages.scenes import Bars, Marks, Path, Points, Scene, Shade
+from beamseg_batch.tables import MEMBERS, SEGMENTS, ColumnArrays
 
 __all__ = [
     "MAX_BEAMS",
     "MAX_CLOUD_POINTS",
-    "beam_mesh",
     "charts",
     "structure_scene",
 ]
@@ -31,25 +33,11 @@ MAX_CLOUD_POINTS = 30_000
 _MAX_TRAJECTORY_POINTS = 4_000
 _MAX_BOXES = 16
 _JOINT_REACH = 2.8  # in radii of the thickest beam, so 1.8 of them stand out
-_MEMBER_REACH = 1.04  # in radii, so that members hide the beams that they are parts of
+_MEMBER_REACH = 0.04  # of a radius, so that members hide the beams that they are parts of
 _PLACE_REACH_M = 0.12
 
 # The page replaces these names by the colours of its light or dark theme.
 _BEAM, _JOINT, _PATH, _CLOUD, _AGAIN = "$beam", "$joint", "$path", "$cloud", "$chosen"
-
-
-def beam_mesh(segments: Sequence[Segment]) -> Mesh:
-    """Build closed cylinders of true radius around the axes of beams.
-
-    Parameters
-    ----------
-    segments : sequence of Segment
-
-    Returns
-    -------
-    Mesh
-    """
-    return cylinder_mesh(_ends(segments), _radii(segments))
 
 
 def structure_scene(
@@ -74,26 +62,33 @@ def structure_scene(
     Scene
         Metres, world frame.
     """
-    beams = result.segments[:MAX_BEAMS]
+    segments = result.segments[:MAX_BEAMS]
+    members = [member for member in result.members if member.segment < MAX_BEAMS]
+    tables = {
+        SEGMENTS.name: segment_columns(segments, time_origin_ns(result)),
+        MEMBERS.name: member_columns(members[:MAX_BEAMS], segments),
+    }
+    beams = beams_of(tables[SEGMENTS.name])
     places = result.trajectory.positions
     cloud = result.cloud[np.isfinite(result.cloud).all(axis=1)]
     parts = (
         Points("cloud", _CLOUD, cloud[thinned(len(cloud), MAX_CLOUD_POINTS)]),
         Path("trajectory", _PATH, places[thinned(len(places), _MAX_TRAJECTORY_POINTS)]),
-        Cylinders(
+        Bars(
             "beams",
             _BEAM,
-            _ends(beams),
-            _radii(beams),
+            beams,
             labels,
             shades,
-            named=[str(number) for number in range(len(beams))],
+            named=[str(beam.number) for beam in beams],
         ),
-        _members(result),
+        _members(members, tables),
         _joints(result),
         _places([look for look in plan.looks if look.place is not None][:MAX_BEAMS]),
     )
-    shown = np.concatenate([_ends(result.segments).reshape(-1, 3), places, cloud])
+    ends = [end for beam in result.segments for end in (beam.end_1, beam.end_2)]
+    bends = [beam.nodes for beam in beams if len(beam.nodes) > 2]
+    shown = np.concatenate([np.reshape(ends, (-1, 3)), *bends, places, cloud])
     count = f"{len(result.segments)} beams, {len(result.joints)} joints"
     return Scene(parts, shown, f"the structure: {count}, and the path that was flown")
 
@@ -229,28 +224,14 @@ def _over_time(
     return Series("steps" if steps else "line", name, colour, *envelope(times_s, values))
 
 
-def _ends(segments: Sequence[Segment]) -> FloatArray:
-    """Ends of beams, (N, 2, 3)."""
-    ends = [(segment.end_1, segment.end_2) for segment in segments]
-    return np.array(ends, dtype=np.float64).reshape(-1, 2, 3)
-
-
-def _radii(segments: Sequence[Segment]) -> FloatArray:
-    return np.array([segment.radius for segment in segments], dtype=np.float64)
-
-
-def _members(result: FlightResult) -> Cylinders:
+def _members(members: Sequence[Member], tables: Mapping[str, ColumnArrays]) -> Bars:
     """Draw the parts between joints, apart from one another where a beam has several."""
-    members = result.members[:MAX_BEAMS]
-    beams = [result.segments[member.segment] for member in members]
-    ends = np.array(
-        [
-            (beam.anchor + member.t_1 * beam.direction, beam.anchor + member.t_2 * beam.direction)
-            for member, beam in zip(members, beams, strict=True)
-        ]
-    ).reshape(-1, 2, 3)
-    labels = [_member_label(number, member) for number, member in enumerate(members)]
-    return Cylinders("members", _PATH, ends, _MEMBER_REACH * _radii(beams), labels, hidden=True)
+    bars = bars_of(tables, "members")
+    around = [
+        replace(bar, section=bar.section.grown(_MEMBER_REACH * bar.section.radius)) for bar in bars
+    ]
+    labels = [_member_label(bar.number, members[bar.number]) for bar in bars]
+    return Bars("members", _PATH, around, labels, hidden=True)
 
 
 def _member_label(number: int, member: Member) -> str:

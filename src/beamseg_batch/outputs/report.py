@@ -182,7 +182,7 @@ class _Beams:
         shape = self.columns["shape"][number]
         lines = [
             f"<b>beam {number}</b>: {escape(str(shape))}{', bent' if self.bent[number] else ''}",
-            f"{beam.length:.3f} m long, radius {beam.radius * 1e3:.1f} mm",
+            f"{beam.length:.3f} m long, {_extent(beam)} mm",
             f"{beam.n_points} points in {beam.n_scans} scans",
             *([f"axis ± {2e3 * beam.sigma_offset:.1f} mm"] if beam.sigma_offset > 0.0 else []),
             *(doubt.text for doubt in self.doubts[number]),
@@ -235,6 +235,14 @@ class _Beams:
     def _remarks(self, number: int) -> str:
         doubts = ", ".join(doubt.text for doubt in self.doubts[number])
         return Html(f"{chip(_BENT, '$bad')} {escape(doubts)}") if self.bent[number] else doubts
+
+
+def _extent(beam: Segment) -> str:
+    """Size of a beam's cross-section, millimetres."""
+    size = beam.cross_section.size
+    if size is None:
+        return f"radius {beam.radius * 1e3:.1f}"
+    return f"{size.width * 1e3:.0f} × {size.height * 1e3:.0f}"
 
 
 def _classes(kinds: Sequence[str], colours: Mapping[Any, str]) -> Shade:

@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from beamseg_batch.geometry import FloatArray
+from beamseg_batch.prisms import Prism, caps_of, outline
+from beamseg_batch.section import Section
 
 __all__ = [
     "ROUND_LIGHTING",
@@ -24,7 +26,7 @@ __all__ = [
     "Mesh",
     "View",
     "axes_layout",
-    "cylinder_mesh",
+    "bar_mesh",
     "mesh_trace",
     "octahedron_mesh",
     "positions",
@@ -35,8 +37,10 @@ __all__ = [
 
 ROUND_LIGHTING = {"ambient": 0.55, "diffuse": 0.8, "specular": 0.2, "roughness": 0.6}
 """Light that makes a cylinder look round."""
+_LIGHT = {"x": 30_000, "y": -90_000, "z": 60_000}
+"""From where it comes: beside the eye of the first view, so that no two faces look alike."""
 
-_SIDES, _FEW_SIDES, _MANY_CYLINDERS = 12, 6, 1_000
+_SIDES, _FEW_SIDES, _MANY_BARS = 12, 6, 1_000
 _RING_SPACING_M = 0.4
 _MAX_RINGS = 8
 _MAX_VERTICES = 30_000
@@ -103,40 +107,41 @@ class Mesh:
     counts: NDArray[np.int64]
 
 
-def cylinder_mesh(ends: FloatArray, radii: FloatArray) -> Mesh:
-    """Build closed cylinders.
+def bar_mesh(prisms: Sequence[Prism]) -> Mesh:
+    """Build closed bars of true cross-section, bent where they are.
 
     Parameters
     ----------
-    ends : (N, 2, 3) float64, metres
-        Ends of the axes; where they do not differ, a disc.
-    radii : (N,) float64, metres
+    prisms : sequence of Prism
 
     Returns
     -------
     Mesh
+        Edges are sharp: faces that meet in one do not share its vertices.
 
     Notes
     -----
-    A label shows at the vertex that lies nearest to the pointer, so a long cylinder has
-    rings between its ends, as far as the number of vertices allows.
+    A label shows at the vertex that lies nearest to the pointer, so a long bar has rings
+    between its ends, as far as the number of vertices allows.
     """
-    sides = _SIDES if len(ends) <= _MANY_CYLINDERS else _FEW_SIDES
-    max_rings = _MAX_VERTICES // (sides * max(len(ends), 1))
+    sides = _SIDES if len(prisms) <= _MANY_BARS else _FEW_SIDES
+    walls = [_wall(prism.section, sides) for prism in prisms]
+    max_rings = _MAX_VERTICES // max(sum(len(corners) for corners, _ in walls), 1)
     max_rings = min(max(max_rings, 2), _MAX_RINGS)
     vertices: list[FloatArray] = [np.empty((0, 3))]
     triangles: list[NDArray[np.int64]] = [np.empty((0, 3), dtype=np.int64)]
     offset = 0
-    for (start, end), radius in zip(ends, radii, strict=True):
-        length = float(np.linalg.norm(end - start))
-        rings = int(np.clip(np.ceil(length / _RING_SPACING_M) + 1, 2, max_rings))
-        vertices.append(_cylinder_vertices(start, end, float(radius), rings, sides))
-        triangles.append(_cylinder_triangles(rings, sides) + offset)
-        offset += len(vertices[-1])
+    for prism, wall in zip(prisms, walls, strict=True):
+        rings = int(np.clip(np.ceil(prism.length / _RING_SPACING_M) + 1, 2, max_rings))
+        axis = _resampled(prism.nodes, max_rings if len(prism.nodes) > 2 else rings)
+        body, faces = _closed(prism, axis, wall, sides)
+        vertices.append(body)
+        triangles.append(faces + offset)
+        offset += len(body)
     return Mesh(
         np.concatenate(vertices).astype(np.float32),
         np.concatenate(triangles).astype(np.uint32),
-        np.array([len(cylinder) for cylinder in vertices[1:]], dtype=np.int64),
+        np.array([len(body) for body in vertices[1:]], dtype=np.int64),
     )
 
 
@@ -185,6 +190,7 @@ def mesh_trace(name: str, colour: str, mesh: Mesh, labels: Sequence[str]) -> dic
         "color": colour,
         "flatshading": False,
         "lighting": ROUND_LIGHTING,
+        "lightposition": _LIGHT,
         "hoverinfo": "text",
         "meta": {"labels": list(labels), "counts": mesh.counts.tolist()},
         **positions(mesh.vertices),
@@ -288,35 +294,42 @@ def _named(position: FloatArray) -> dict[str, float]:
     return {axis: round(float(value), 3) for axis, value in zip("xyz", position, strict=True)}
 
 
-def _cylinder_vertices(
-    start: FloatArray, end: FloatArray, radius: float, rings: int, sides: int
-) -> FloatArray:
-    """Rings from end to end, then the centres of the two caps: (rings * sides + 2, 3)."""
-    length = np.linalg.norm(end - start)
-    direction = (end - start) / length if length > 0.0 else np.array([0.0, 0.0, 1.0])
-    helper = np.eye(3)[np.argmin(np.abs(direction))]
-    across = np.cross(direction, helper)
-    across /= np.linalg.norm(across)
-    beside = np.cross(direction, across)
-    phase = np.arange(sides) * (2 * np.pi / sides)
-    ring = radius * (np.outer(np.cos(phase), across) + np.outer(np.sin(phase), beside))
-    centres = start + np.outer(np.linspace(0.0, 1.0, rings), end - start)
-    wall = (centres[:, None, :] + ring[None, :, :]).reshape(-1, 3)
-    return np.concatenate([wall, centres[[0, -1]]])
+def _wall(section: Section, sides: int) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Corners of a ring of a bar, (K, 2), and pairs of them between which its faces stand."""
+    corners = outline(section, sides)
+    if section.shape == "round":
+        one = np.arange(len(corners))
+        return corners, np.column_stack([one, np.roll(one, -1)])
+    twice = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1).reshape(-1, 2)
+    return twice, np.arange(len(twice)).reshape(-1, 2)
 
 
-def _cylinder_triangles(rings: int, sides: int) -> NDArray[np.int64]:
-    """Triangles of `_cylinder_vertices`: two per side and step, one per side and cap."""
-    here = np.arange(sides)
-    following = (here + 1) % sides
-    steps = (np.arange(rings - 1) * sides)[:, None]
-    lower_1, lower_2 = steps + here, steps + following
-    upper_1, upper_2 = lower_1 + sides, lower_2 + sides
-    corners = ((lower_1, lower_2, upper_1), (lower_2, upper_2, upper_1))
-    wall = [np.stack(triple, axis=-1).reshape(-1, 3) for triple in corners]
-    last, centre = (rings - 1) * sides, rings * sides
-    caps = [
-        np.stack([following, here, np.full(sides, centre)], axis=1),
-        np.stack([here + last, following + last, np.full(sides, centre + 1)], axis=1),
-    ]
-    return np.concatenate([*wall, *caps])
+def _resampled(nodes: FloatArray, count: int) -> FloatArray:
+    """As many points, evenly along a chain of even pieces: (count, 3)."""
+    places = np.linspace(0.0, len(nodes) - 1.0, count)
+    before = np.minimum(places.astype(np.int64), len(nodes) - 2)
+    share = (places - before)[:, None]
+    points: FloatArray = (1.0 - share) * nodes[before] + share * nodes[before + 1]
+    return points
+
+
+def _closed(
+    prism: Prism, axis: FloatArray, wall: tuple[FloatArray, NDArray[np.int64]], sides: int
+) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Vertices and triangles of a bar: rings along its axis, then its two caps."""
+    ring, faces = wall
+    across, corners = prism.rotation[:, :2].T, outline(prism.section, sides)
+    rings = (axis[:, None] + ring @ across).reshape(-1, 3)
+    caps = (axis[[0, -1], None] + corners @ across).reshape(-1, 3)
+    size, n_corners, n_wall = len(ring), len(corners), len(rings)
+    one, other = faces.T
+    step = np.concatenate(
+        [
+            np.column_stack([one, other, other + size]),
+            np.column_stack([one, other + size, one + size]),
+        ]
+    )
+    first, last = caps_of(prism.section, n_corners)
+    triangles = [step + size * k for k in range(len(axis) - 1)]
+    triangles += [first + n_wall, last + n_wall + n_corners]
+    return np.concatenate([rings, caps]), np.concatenate(triangles)

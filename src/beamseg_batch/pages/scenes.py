@@ -14,22 +14,24 @@ from beamseg_batch.pages.drawing import Drawing, Figure, element, svg
 from beamseg_batch.pages.figures import (
     VIEWS,
     View,
-    cylinder_mesh,
+    bar_mesh,
     mesh_trace,
     octahedron_mesh,
     positions,
     scene_layout,
     thinned,
 )
+from beamseg_batch.prisms import Prism, outline
 
-__all__ = ["Cylinders", "Marks", "Path", "Points", "Scene", "Shade"]
+__all__ = ["Bars", "Marks", "Path", "Points", "Scene", "Shade"]
 
 _WIDTH, _MAX_HEIGHT, _MARGIN = 600.0, 420.0, 24.0
-_MAX_NAMED = 60  # cylinders with their number beside them in a picture
+_MAX_NAMED = 60  # bars with their number beside them in a picture
 _MAX_OUTLINED = 300
 _MAX_IN_ALL_VIEWS = 3_000
 _MAX_PATH_POINTS = 400
 _THINNEST, _OUTLINE = 1.4, 1.6
+_MAX_BENDS, _SIDES = 16, 48  # of a bent bar in a picture, and of a round one
 
 
 @dataclass(frozen=True)
@@ -50,15 +52,14 @@ class Shade:
 
 
 @dataclass(frozen=True, eq=False)
-class Cylinders:
-    """Closed cylinders of true radius.
+class Bars:
+    """Bars of true cross-section.
 
     Attributes
     ----------
     name : str
     colour : str
-    ends : (N, 2, 3) float64, metres
-    radii : (N,) float64, metres
+    prisms : sequence of Prism
     labels : sequence of str
         One each, HTML.
     shades : mapping of str to Shade, optional
@@ -72,8 +73,7 @@ class Cylinders:
 
     name: str
     colour: str
-    ends: FloatArray
-    radii: FloatArray
+    prisms: Sequence[Prism]
     labels: Sequence[str]
     shades: Mapping[str, Shade] = field(default_factory=dict)
     opacity: float = 1.0
@@ -120,7 +120,7 @@ class Points:
     points: NDArray[Any]
 
 
-Part: TypeAlias = Cylinders | Marks | Path | Points
+Part: TypeAlias = Bars | Marks | Path | Points
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +129,7 @@ class Scene:
 
     Attributes
     ----------
-    parts : tuple of Cylinders, Marks, Path or Points
+    parts : tuple of Bars, Marks, Path or Points
         Those with nothing in them are left out.
     shown : (N, 3), metres
         Points that must be in view.
@@ -175,8 +175,8 @@ class Scene:
         plane = _Plane.around(_outline(solid), view)
         pieces: list[tuple[float, str]] = []
         for part in solid:
-            if isinstance(part, Cylinders):
-                pieces += [] if part.hidden else _paint_cylinders(part, plane)
+            if isinstance(part, Bars):
+                pieces += [] if part.hidden else _paint_bars(part, plane)
             elif isinstance(part, Marks):
                 pieces += _paint_marks(part, plane)
             else:
@@ -187,7 +187,7 @@ class Scene:
         return svg(_WIDTH, plane.height, [*elements, *_ruler(plane, view)], name)
 
     @property
-    def _solid(self) -> list[Cylinders | Marks | Path]:
+    def _solid(self) -> list[Bars | Marks | Path]:
         """Parts that the still pictures show."""
         return [part for part in self.parts if not isinstance(part, Points) and _size(part)]
 
@@ -223,7 +223,8 @@ class _Plane:
 
 def _outline(solid: Sequence[Part]) -> FloatArray:
     """Points between which a picture lies."""
-    corners = [part.ends.reshape(-1, 3) for part in solid if isinstance(part, Cylinders)]
+    bars = [part for part in solid if isinstance(part, Bars)]
+    corners = [prism.nodes for part in bars for prism in part.prisms]
     corners += [part.points for part in solid if isinstance(part, Path)]
     corners += [part.centres for part in solid if isinstance(part, Marks)]
     points = np.concatenate([np.empty((0, 3)), *corners])
@@ -232,14 +233,14 @@ def _outline(solid: Sequence[Part]) -> FloatArray:
 
 
 def _size(part: Part) -> int:
-    if isinstance(part, Cylinders):
-        return len(part.ends)
+    if isinstance(part, Bars):
+        return len(part.prisms)
     return len(part.centres) if isinstance(part, Marks) else len(part.points)
 
 
 def _trace(part: Part) -> dict[str, Any]:
-    if isinstance(part, Cylinders):
-        mesh = cylinder_mesh(part.ends, part.radii)
+    if isinstance(part, Bars):
+        mesh = bar_mesh(part.prisms)
         trace = mesh_trace(part.name, part.colour, mesh, part.labels)
         trace["opacity"] = part.opacity
         if part.shades:
@@ -260,22 +261,47 @@ def _trace(part: Part) -> dict[str, Any]:
     return common | style | positions(part.points)
 
 
-def _paint_cylinders(part: Cylinders, plane: _Plane) -> list[tuple[float, str]]:
+def _paint_bars(part: Bars, plane: _Plane) -> list[tuple[float, str]]:
     """Thick lines, each with an edge of the page's colour that sets it off from what is behind."""
-    places = plane(part.ends).reshape(-1, 2, 3)
-    shade = next(iter(part.shades.values()), Shade((), (part.colour,), (0,) * len(places)))
-    colours = [shade.colours[k] for k in shade.of]
-    pieces, few = [], len(places) <= _MAX_OUTLINED
-    for (one, other), radius, colour in zip(places, part.radii, colours, strict=True):
-        ends: dict[str, Any] = {"x1": one[0], "y1": one[1], "x2": other[0], "y2": other[1]}
-        width = max(2 * radius * plane.scale, _THINNEST)
-        edge: dict[str, Any] = ends | {"stroke": "$card", "stroke_width": width + _OUTLINE}
+    shade = next(iter(part.shades.values()), Shade((), (part.colour,), (0,) * len(part.prisms)))
+    pieces, few = [], len(part.prisms) <= _MAX_OUTLINED
+    for prism, k in zip(part.prisms, shade.of, strict=True):
+        places, width = _stroke(prism, plane)
+        edge = _line(places, "$card", width + _OUTLINE)
         faint = {} if part.opacity == 1.0 else {"opacity": f"{part.opacity:g}"}
-        body = element("line", **ends, stroke=colour, stroke_width=width, **faint)
+        body = _line(places, shade.colours[k], width, **faint)
         # What lets through shows what else is in its place, so it lies behind.
-        depth = -np.inf if faint else float(one[2] + other[2]) / 2
-        pieces.append((depth, (element("line", **edge) if few else "") + body))
+        depth = -np.inf if faint else float(places[:, 2].mean())
+        pieces.append((depth, (edge if few else "") + body))
     return pieces
+
+
+def _stroke(prism: Prism, plane: _Plane) -> tuple[FloatArray, float]:
+    """Line, (N, 3), and width that cover a bar in a picture."""
+    start, end = plane(prism.nodes[[0, -1]])[:, :2]
+    along = end - start
+    length = float(np.linalg.norm(along))
+    normal = np.array([-along[1], along[0]]) / length if length else np.array([1.0, 0.0])
+    corners = outline(prism.section, _SIDES) @ prism.rotation[:, :2].T
+    reach = (plane(corners) - plane(np.zeros(3)))[:, :2] @ normal
+    middle = 0.5 * (reach.min() + reach.max())
+    nodes = prism.nodes[thinned(len(prism.nodes) - 1, _MAX_BENDS)]
+    places = plane(np.concatenate([nodes, prism.nodes[-1:]]))
+    places[:, :2] += middle * normal
+    return places, max(float(np.ptp(reach)), _THINNEST)
+
+
+def _line(places: FloatArray, colour: str, width: float, **more: Any) -> str:
+    """Line from place to place."""
+    style: dict[str, Any] = {"stroke": colour, "stroke_width": width, **more}
+    if len(places) == 2:
+        (x1, y1, _), (x2, y2, _) = places
+        return element("line", x1=x1, y1=y1, x2=x2, y2=y2, **style)
+    return element("path", d=_route(places), fill="none", **style)
+
+
+def _route(places: FloatArray) -> str:
+    return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y, _ in places)
 
 
 def _paint_marks(part: Marks, plane: _Plane) -> list[tuple[float, str]]:
@@ -288,16 +314,15 @@ def _paint_marks(part: Marks, plane: _Plane) -> list[tuple[float, str]]:
 
 def _paint_path(part: Path, plane: _Plane) -> str:
     places = plane(part.points[thinned(len(part.points), _MAX_PATH_POINTS)])
-    route = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y, _ in places)
-    return element("path", d=route, fill="none", stroke=part.colour, stroke_width="1")
+    return element("path", d=_route(places), fill="none", stroke=part.colour, stroke_width="1")
 
 
 def _names(parts: Sequence[Part], plane: _Plane) -> list[str]:
-    """Short names of cylinders, halfway between their ends."""
+    """Short names of bars, in their middle."""
     elements = []
     for part in parts:
-        if isinstance(part, Cylinders) and 0 < len(part.named) <= _MAX_NAMED:
-            middles = plane(part.ends.mean(axis=1))
+        if isinstance(part, Bars) and 0 < len(part.named) <= _MAX_NAMED:
+            middles = plane(np.array([prism.nodes.mean(axis=0) for prism in part.prisms]))
             elements += [
                 element("text", name, x=x + 5, y=y - 5, class_="name")
                 for name, (x, y, _) in zip(part.named, middles, strict=True)

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from beamseg_batch.export.bars import Bar, beams_of
-from beamseg_batch.export.meshes import mesh_of
+from beamseg_batch.bars import Bar, beams_of
 from beamseg_batch.geometry import FloatArray
 from beamseg_batch.model import FlightResult
 from beamseg_batch.outputs.columns import segment_columns, time_origin_ns
+from beamseg_batch.prisms import mesh_of
 from beamseg_batch.recording.pose_arrays import quaternion_from_matrix
 from beamseg_batch.recording.writing import MessageWriter
 

@@ -230,6 +230,7 @@ class Sums:
 
     def __init__(self, beams: Sequence[Beam], *, flanks: bool = False) -> None:
         count = len(beams)
+        self._names = ("asked", "scans", "scatter", *(["flanks"] if flanks else []))
         lengths = np.array([beam.length for beam in beams])
         bins = np.ceil(lengths / COARSE).astype(np.int64) + 2 * _MARGIN_BINS
         coarse_at = np.concatenate([[0], np.cumsum(bins)]).astype(np.int64)
@@ -265,8 +266,7 @@ class Sums:
             np.concatenate([np.arange(at[beam], at[beam + 1]) for beam in beams] or [beams[:0]])
             for at in (self.evidence.fine_at, self.evidence.coarse_at)
         )
-        rows = dict.fromkeys(("asked", "scans", "scatter"), beams)
-        rows |= {"flanks": beams} if len(self.evidence.flanks) else {}
+        rows = dict.fromkeys(self._names, beams)
         return rows | {"likelihood": fine, "hits": fine, "normal": coarse}
 
     def fine(self, index: int) -> tuple[FloatArray, FloatArray]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from beamseg_batch.geometry import FloatArray
+from beamseg_batch.geometry import FloatArray, section_frame
 from beamseg_batch.section import Section, Shape
 from beamseg_batch.world.joints import Joint, find_joints
 
@@ -55,16 +55,9 @@ class Member:
         Returns
         -------
         (3, 3) float64
-            Without roll u is horizontal and v points upwards; for a vertical member u is
-            the world's x.
+            As `section_frame` gives it.
         """
-        w = (self.end - self.start) / self.length
-        u = np.array([-w[1], w[0], 0.0])
-        across = float(np.linalg.norm(u))
-        u = np.array([1.0, 0.0, 0.0]) if across < 1e-9 else u / across
-        v = np.cross(w, u)
-        cos, sin = np.cos(self.roll), np.sin(self.roll)
-        return np.column_stack([cos * u + sin * v, cos * v - sin * u, w])
+        return section_frame((self.end - self.start) / self.length, self.roll)
 
     @cached_property
     def nodes(self) -> FloatArray:

@@ -9,11 +9,11 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from beamseg_batch.geometry import FloatArray
+from beamseg_batch.geometry import FloatArray, section_frame
 from beamseg_batch.model import BENT_M, BENT_SIGMAS
+from beamseg_batch.prisms import Prism
+from beamseg_batch.section import Section, Shape
 from beamseg_batch.tables import MEMBERS, SEGMENTS, ColumnArrays
-from beamseg_batch.world.scene import Member as Chord
-from beamseg_batch.world.scene import Section, Shape
 
 __all__ = ["Bar", "Parts", "bars_of", "beams_of", "section_name"]
 
@@ -23,9 +23,11 @@ Parts = Literal["beams", "members"]
 _CHORD_ERROR = 1e-5  # of the straight pieces of a bowed axis, metres
 
 
-@dataclass(frozen=True, eq=False)
-class Bar:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Bar(Prism):
     """A beam, or the part of one between two joints or ends.
+
+    Its section is round where the table knows no other shape.
 
     Attributes
     ----------
@@ -35,43 +37,17 @@ class Bar:
         Number of the beam that it is, or is part of.
     radius : float, metres
         As the table has it.
-    section : Section
-        Round where the table knows no other shape.
-    nodes : (N, 3) float64, metres, world frame
-        The axis, from end to end: two nodes, more if the beam is bowed.
-    rotation : (3, 3) float64
-        The section's u, v and the direction of the axis, as columns.
     roll_deg : float, degrees
         Turn of the section about the axis.
     bow : (3,) float64, metres
-        By how much the whole beam leaves its chord, midway; zero if it is straight.
+        By how much its axis leaves its chord, midway; zero if it is straight.
     """
 
     number: int
     beam: int
     radius: float
-    section: Section
-    nodes: FloatArray
-    rotation: FloatArray
     roll_deg: float = 0.0
     bow: FloatArray = field(default_factory=lambda: np.zeros(3))
-
-    @property
-    def start(self) -> FloatArray:
-        """(3,) float64, metres: the first end of the axis."""
-        first: FloatArray = self.nodes[0]
-        return first
-
-    @property
-    def end(self) -> FloatArray:
-        """(3,) float64, metres: the second end of the axis."""
-        last: FloatArray = self.nodes[-1]
-        return last
-
-    @property
-    def length(self) -> float:
-        """Distance between the ends, metres."""
-        return float(np.linalg.norm(self.end - self.start))
 
 
 def bars_of(tables: Mapping[str, ColumnArrays], parts: Parts) -> list[Bar]:
@@ -99,11 +75,12 @@ def bars_of(tables: Mapping[str, ColumnArrays], parts: Parts) -> list[Bar]:
             continue
         if beam.bow.any():
             t_min, length = segments["t_min"][beam_number], segments["length"][beam_number]
-            shares = [(columns[name][i] - t_min) / length for name in ("t1", "t2")]
-            nodes = _bowed(beam.start, beam.end, beam.bow, *shares)
+            first, last = ((columns[name][i] - t_min) / length for name in ("t1", "t2"))
+            nodes = _bowed(beam.start, beam.end, beam.bow, first, last)
         else:
+            first, last = 0.0, 1.0
             nodes = np.array([_point(columns, i, 1), _point(columns, i, 2)])
-        bars.append(replace(beam, number=i, nodes=nodes))
+        bars.append(replace(beam, number=i, nodes=nodes, bow=beam.bow * (last - first) ** 2))
     return bars
 
 
@@ -126,11 +103,13 @@ def _beam(columns: ColumnArrays, i: int) -> Bar:
     radius = float(columns["radius"][i])
     section = _section(columns, i, radius)
     roll_deg, bow = _number(columns, "roll_deg", i), _bow(columns, i)
-    if not np.any(end != start):
-        return Bar(i, i, radius, section, np.array([start, end]), np.eye(3))
-    chord = Chord("", start, end, section, math.radians(roll_deg))
+    chord, rotation = end - start, np.eye(3)
+    if chord.any():
+        rotation = section_frame(chord / np.linalg.norm(chord), math.radians(roll_deg))
     nodes = _bowed(start, end, bow) if bow.any() else np.array([start, end])
-    return Bar(i, i, radius, section, nodes, chord.rotation, roll_deg, bow)
+    return Bar(
+        section, nodes, rotation, number=i, beam=i, radius=radius, roll_deg=roll_deg, bow=bow
+    )
 
 
 def _bow(columns: ColumnArrays, i: int) -> FloatArray:
