@@ -170,6 +170,8 @@ class Gathered:
             self.likelihood[fine] += costs[0] - costs[1]
         self.hits[fine] += best > abs(residual) + 2
         apart = np.min(np.abs(entry - rivals) / sigma, initial=np.inf)
+        if any(self._is_partly_on(o, w, entry) for o in range(len(scene.anchors)) if o != j):
+            apart = 0.0
         tells = not hidden and apart >= 4 and abs(residual) < min(scene.tukey, apart / 2)
         tells &= abs(line_distance(w, a, b)[0]) <= radius - scene.blur * entry
         if scene.firsts[j] <= s <= scene.lasts[j] and tells:
@@ -178,6 +180,15 @@ class Gathered:
             if abs(normal @ w) >= 0.2:
                 residual -= self._sunk(w, a, b, radius, entry) / sigma
                 self._weigh(j, w, s, residual, sigma)
+
+    def _is_partly_on(self, o, w, entry):
+        """Whether a ray passes a nearer beam by less than its pixel, where flanks are asked."""
+        scene = self.scene
+        a, b, radius = scene.anchors[o], scene.directions[o], scene.radii[o]
+        apart, middle = line_distance(w, a, b)
+        beside = radius < abs(apart) < min(radius + scene.blur * middle, 1.35 * radius + 0.01)
+        along = scene.firsts[o] <= (middle * w - a) @ b <= scene.lasts[o]
+        return len(self.flanks) > 0 and beside and along and 0 < middle < entry
 
     def _sunk(self, w, a, b, radius, entry):
         """Half the entry's second derivative across, times the variance of a pixel's place."""

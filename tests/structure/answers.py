@@ -15,11 +15,12 @@ def told(one, offset, **how):
     return told_of([one], [offset], **how)
 
 
-def told_of(beams, offsets, *, per_bin=40, noise=0.0, seed=0, like=4.0):
+def told_of(beams, offsets, *, per_bin=40, noise=0.0, seed=0, like=4.0, thicker=0.0, tukey=np.inf):
     """Sums of rays that hit all along axes which lie off those of some beams, by their place.
 
     Each offset gives (u, v), metres along the beam's normals from its axis, for places
-    along its chord.
+    along its chord; all are thicker by so many metres than they are taken for. Rays count with
+    Tukey's weight, as far as that reaches.
     """
     rng, sums = np.random.default_rng(seed), Sums(beams)
     for index, (one, offset) in enumerate(zip(beams, offsets, strict=True)):
@@ -34,12 +35,16 @@ def told_of(beams, offsets, *, per_bin=40, noise=0.0, seed=0, like=4.0):
                 continue
             turn = rng.uniform(0, 2 * np.pi, per_bin)
             u, v = np.cos(turn) / NOISE, np.sin(turn) / NOISE
-            e = np.stack([u, v], axis=1) @ offset(s) + noise * rng.normal(size=per_bin)
+            r = np.full(per_bin, 1.0 / NOISE)
+            e = np.stack([u, v], axis=1) @ offset(s) + r * thicker
+            e += noise * rng.normal(size=per_bin)
+            w = (1.0 - np.minimum(np.abs(e) / tukey, 1.0) ** 2) ** 2
             su, sv = s * u, s * v
             products = [u * u, u * v, v * v, u * su, u * sv, v * sv, su * su, su * sv, sv * sv]
-            row[:9] = [product.sum() for product in products]
-            row[9:13] = [(part * e).sum() for part in (u, v, su, sv)]
-            row[13:16] = (e * e).sum(), per_bin, per_bin
-            score = np.array([*row[9:13], 0.0, *(s * row[11:13])])
+            row[:9] = [w @ product for product in products]
+            row[9:13] = [w @ (part * e) for part in (u, v, su, sv)]
+            row[13:16] = w @ (e * e), per_bin, w.sum()
+            row[16:22] = [w @ (part * r) for part in (u, v, su, sv, r, e)]
+            score = np.array([*row[9:13], row[21], *(s * row[11:13])])
             sums.evidence.scatter[index] += np.outer(score, score)
     return sums

@@ -10,12 +10,13 @@ import pytest
 
 from beamseg_batch.config import load_config
 from beamseg_batch.geometry import angle_between_deg, distances_to_line, normalised
-from beamseg_batch.model import DepthNoise
+from beamseg_batch.model import DepthNoise, PoseJitter
 from beamseg_batch.structure import questions
 from beamseg_batch.structure.evidence import EvidenceStructure
 from beamseg_batch.structure.hypothesis import Beam
 from beamseg_batch.structure.pixel_rays import PixelRays
 from beamseg_batch.structure.questions import Leftovers
+from beamseg_batch.structure.refinement import refit
 from tests.detection.scans import make_scan
 from tests.rays import camera_rays, pose_at, seen_depths
 from tests.structure.segments import between, detections, jittered
@@ -133,6 +134,55 @@ def test_view__every_other_row_and_column_is_the_same_image():
     u, v = part.image[0] + 31 * part.image[1], part.image[2] + 31 * part.image[3]
     assert u == pytest.approx(whole.image[0] + 93 * whole.image[1])
     assert v == pytest.approx(whole.image[2] + 93 * whole.image[3])
+
+
+def test_view__a_beam_that_jitter_smears_is_as_thick_as_it_is():
+    mixed, beam = replace(NOISE, mixed=True), hypothesis_of(POST)
+
+    def thickness(aside, told):
+        rng, places = np.random.default_rng(3), np.array([[0.0, aside, 0.0], [0.0, -aside, 0.0]])
+        scans = [
+            replace(look(replace(pose, translation=at), [POST], rng), T_world_body=pose)
+            for pose in POSES
+            for at in pose.translation + places
+        ]
+        pixels, jitter = PixelRays(), PoseJitter(left_position=told, memory_s=1.0)
+        pixels.learn(scans[0])
+        camera = questions.Camera(load_config("precise").filtering, mixed, pixels, jitter)
+        question = questions.AxisQuestion(
+            [beam], camera, competitors="all", tukey=4.0, flanks=False
+        )
+        sums = question.sums()
+        sums.add(question.ask(scans))
+        return refit(beam, 0, beam.first, beam.last, sums).free_radius
+
+    still, smeared, known = thickness(0.0, 0.0), thickness(0.003, 0.0), thickness(0.003, 0.003)
+    assert smeared < still - 1e-4
+    assert abs(known - still) < 0.8 * abs(smeared - still)
+
+
+def test_ask__pixels_that_are_partly_on_what_stands_before_tell_nothing():
+    rng, bar, nearer = np.random.default_rng(3), ((0.6, -0.4, 1.0), (0.6, 0.5, 1.05), 0.03), []
+    scans, beams = [], [hypothesis_of(beam) for beam in (POST, bar)]
+    for pose in POSES:
+        scan, alone = look(pose, [POST, bar], rng), look(pose, [bar], rng)
+        on_bar = np.isfinite(alone.points[:, 0]).reshape(SIZE, SIZE)
+        beside = np.zeros_like(on_bar)
+        beside[1:] |= on_bar[:-1]
+        beside[:-1] |= on_bar[1:]
+        mixed = (beside & ~on_bar).ravel()[:, None]
+        scans.append(scan.with_points(np.where(mixed, 0.992 * scan.points, scan.points)))
+    for noise in (NOISE, replace(NOISE, mixed=True)):
+        pixels = PixelRays()
+        pixels.learn(scans[0])
+        camera = questions.Camera(load_config("precise").filtering, noise, pixels)
+        question = questions.AxisQuestion(beams, camera, competitors="all", tukey=4.0, flanks=True)
+        sums = question.sums()
+        sums.add(question.ask(scans))
+        crossing = sums.coarse(0)[np.abs(sums.middles(0)) < 0.1].sum(axis=0)
+        nearer.append(crossing[21] / crossing[20])  # as if the beam were so much thicker there
+    assert nearer[0] > 2e-4
+    assert nearer[1] < 0.6 * nearer[0]
 
 
 def test_ask__beams_that_are_out_of_reach_change_nothing():

@@ -10,6 +10,8 @@ import pytest
 from beamseg_batch.config import load_config
 from beamseg_batch.structure.evidence import EvidenceStructure
 from beamseg_batch.structure.hypothesis import Beam
+from beamseg_batch.structure.radius_trial import RadiusTrial
+from tests.structure.answers import told
 from tests.structure.segments import detections, jittered
 from tests.structure.test_evidence import NOISE, POSES, RAIL, look, refine, shortened
 
@@ -49,6 +51,18 @@ def test_RadiusTrial__finds_the_true_radius_from_any(true, assumed):
     assert segment.measured_radius == pytest.approx(true, abs=0.002)
     offset = np.cross(np.array(RAIL[0]) - segment.anchor, segment.direction)
     assert np.linalg.norm(offset) < 0.002
+
+
+def test_RadiusTrial__knows_that_scans_share_an_error():
+    beam = Beam(np.zeros(3), np.array([1.0, 0.0, 0.0]), -0.5, 0.5, 0.05, scans=50)
+    sums = told(beam, lambda s: np.zeros(2), noise=3.0)  # scans disagree by more than rays do
+    sigmas = []
+    for alike in (1.0, 4.0):
+        trial = RadiusTrial([beam], [0.05], alike)
+        while not trial.is_over:
+            trial.take(sums)
+        sigmas.append(np.sqrt(np.trace(trial.winners()[0].covariance_at(0.0))))
+    assert sigmas[1] == pytest.approx(2.0 * sigmas[0], rel=0.1)
 
 
 def test_RadiusTrial__of_one_radius_there_is_none():

@@ -78,6 +78,19 @@ def test_refit__tells_how_certain_the_axis_is():
     np.testing.assert_allclose(spread, np.sqrt(np.diag(np.mean(matrices, axis=0))), rtol=0.3)
 
 
+def test_refit__measures_the_radius_with_one_look():
+    errors, sigmas = [], []
+    for seed in range(60):
+        sums = told(
+            GOOD, lambda s: np.zeros(2), noise=1.0, seed=seed, per_bin=20, thicker=0.001, tukey=4.0
+        )
+        found = refit(GOOD, 0, GOOD.first, GOOD.last, sums)
+        errors.append(found.free_radius - GOOD.radius - 0.001)
+        sigmas.append(found.sigma_radius)
+    assert abs(np.mean(errors)) < 3.0 * np.mean(sigmas) / np.sqrt(60)
+    assert np.std(errors) == pytest.approx(np.mean(sigmas), rel=0.2)
+
+
 def test_refit__scans_that_share_an_error_count_as_fewer():
     """Each scan lies off as a whole, by an error that four scans in a row share."""
     rng, zero = np.random.default_rng(2), straight(GOOD, 0, 0, 0, 0)[0]

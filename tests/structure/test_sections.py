@@ -11,7 +11,15 @@ from beamseg_batch.catalogue import StandardSection, load_catalogue
 from beamseg_batch.model import CrossSection, across_of
 from beamseg_batch.section import Section
 from beamseg_batch.structure.hypothesis import Beam
-from beamseg_batch.structure.section_fit import axis_covariance, fit_sections, fit_standard, lead
+from beamseg_batch.structure.section_fit import (
+    about_axis,
+    axis_covariance,
+    fit_again,
+    fit_sections,
+    fit_standard,
+    lead,
+    section_bow,
+)
 from beamseg_batch.structure.section_question import NearRays
 from beamseg_batch.structure.sections import SectionTrial, without_parts
 from tests.section_rays import REACH, WORST, rays_at
@@ -186,6 +194,24 @@ def test_axis_covariance__unknown_where_the_rays_leave_it_open():
     assert np.isfinite(axis_covariance(fit, rays)).all()
     rays[:, 3] = 1.0
     assert np.isnan(axis_covariance(fit, rays)).all()
+
+
+def moved(rays, error):
+    """The same rays as they would have met the beam where it is not, (N, 2) metres off."""
+    rays = rays.copy()
+    rays[:, 2] += error[:, 1] * rays[:, 0] - error[:, 0] * rays[:, 1]
+    rays[:, 3] += (error * rays[:, :2]).sum(axis=1)
+    return rays
+
+
+@pytest.mark.parametrize("bow", [(0.0, 0.0), (0.004, -0.002)])
+def test_section_bow__finds_a_bow_and_how_sure_it_is(bow):
+    rays = rays_at(TUBE, centre=(0.0, 0.0), noise=0.004)
+    rays = moved(rays, (1.0 - (rays[:, 5] / 0.6) ** 2)[:, None] * bow)
+    fit = fit_again("square", about_axis(TUBE, 0.4), rays, REACH, WORST, sized=False)
+    found_bow, sigma = section_bow(fit, rays, REACH, WORST, -0.6, 0.6)
+    assert np.linalg.norm(found_bow - bow) < 2.0 * sigma
+    assert sigma < 0.001
 
 
 def test_near_rays__keep_the_same_whatever_their_order():

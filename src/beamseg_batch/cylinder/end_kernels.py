@@ -53,6 +53,7 @@ def gather_ends(
     touched = meet(view, beams, meetings, False)
     points, rays, ranks, limits = view.points, view.rays, beams.ranks, beams.limits
     head, chain, who, nearest = meetings.head, meetings.chain, meetings.who, meetings.nearest
+    sides, entries = meetings.side, meetings.entry
     for number in range(touched):
         k = meetings.pixels[number]
         wx, wy, wz, depth = sight(points, rays, k)
@@ -75,7 +76,18 @@ def gather_ends(
                 ab = ax * bx + ay * by + az * bz
                 sigma, side = meetings.sigma[this], meetings.side[this]
                 before, best, _ = rivals(
-                    ranks, limits[j], head[k], this, chain, who, nearest, entry, depth, sigma
+                    ranks,
+                    limits[j],
+                    head[k],
+                    this,
+                    chain,
+                    who,
+                    nearest,
+                    sides,
+                    entries,
+                    entry,
+                    depth,
+                    sigma,
                 )
                 for which in range(2):
                     if not (near_last if which else near_first):

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from beamseg_batch.accelerate import kernel
 from beamseg_batch.cylinder.meeting_kernels import (
+    NEAR_MISS,
     Cylinders,
     Meetings,
     View,
@@ -220,6 +221,7 @@ def gather(
     touched = meet(view, beams, meetings, len(flanks) > 0)
     points, rays, ranks, limits = view.points, view.rays, beams.ranks, beams.limits
     head, chain, who, nearest = meetings.head, meetings.chain, meetings.who, meetings.nearest
+    sides, entries = meetings.side, meetings.entry
     for number in range(touched):
         k = meetings.pixels[number]
         wx, wy, wz, depth = sight(points, rays, k)
@@ -228,9 +230,22 @@ def gather(
             j, s, e = meetings.who[this], meetings.along[this], meetings.residual[this]
             side, entry, sigma = meetings.side[this], meetings.entry[this], meetings.sigma[this]
             before, best, apart = rivals(
-                ranks, limits[j], head[k], this, chain, who, nearest, entry, depth, sigma
+                ranks,
+                limits[j],
+                head[k],
+                this,
+                chain,
+                who,
+                nearest,
+                sides,
+                entries,
+                entry,
+                depth,
+                sigma,
             )
             this = chain[this]
+            if side == NEAR_MISS:
+                continue
             evidence.asked[j] += 1
             radius = beams.radii[j]
             if abs(side) > 1.0:

@@ -17,6 +17,7 @@ from beamseg_batch.cylinder.ray_kernels import enter_cylinder, finite_depth
 from beamseg_batch.geometry import FloatArray
 
 __all__ = [
+    "NEAR_MISS",
     "Cylinders",
     "Meetings",
     "Room",
@@ -33,6 +34,8 @@ __all__ = [
     "sight",
 ]
 
+NEAR_MISS = 1.5
+"""Side of a ray that passes by an outline, but not all of its pixel."""
 _FLANK = 1.35  # radii from the axis at which a beam's surroundings begin
 _FLANK_FROM, _FLANK_TO = 0.01, 0.06  # and where they are looked at, metres further
 _PIXEL = 0.75  # pixels by which a ray may lie beside its place in the image
@@ -64,7 +67,8 @@ class View(NamedTuple):
     blur : float, radians
         How far from the outline of a beam its pixels may hold something else, too.
     footprint : float, radians
-        Width of a pixel that measures the mean depth over it; 0 for one that is a point.
+        Width of a pixel that measures the mean depth over it, with what jitter smears over
+        the scans; 0 for one that is a point.
     """
 
     points: NDArray[np.floating]
@@ -151,8 +155,8 @@ class Meetings(NamedTuple):
         Next meeting of the same pixel, and which beam it is with.
     along, side, entry, sigma, residual, nearest, depth : (K,) float64
         Where along the axis; on which side, as a share of the radius, and 2 or -2 for a
-        ray that passes by; depth of the endless cylinder, metres; noise of that depth,
-        metres; measured depth less that, sigmas; depth of the capped cylinder, infinite
+        ray that passes by, or `NEAR_MISS`; depth of the endless cylinder, metres; noise of
+        that depth, metres; measured depth less that, sigmas; depth of the capped cylinder, infinite
         if the ray passes it by; measured depth, infinite where nothing returned.
     """
 
@@ -464,7 +468,11 @@ def _meet_one(
                 s = from_s + (entry * wb - ab) / stretch
                 near = np.inf
                 beside = 2.0 if mixed > 0.0 else -2.0
-                is_met = mixed * mixed > inner * inner * across and first <= s <= last
+                is_met = mixed * mixed > inner * inner * across
+                blurred = radius + view.blur * entry
+                if not is_met and mixed * mixed < blurred * blurred * across:
+                    beside, is_met = NEAR_MISS, True
+                is_met = is_met and first <= s <= last
             else:
                 entry, leave, at, lateral = enter_cylinder(
                     wx, wy, wz, ax, ay, az, bx, by, bz, radius
@@ -517,7 +525,8 @@ def meet(view: View, beams: Cylinders, meetings: Meetings, flanks: bool) -> int:
 @kernel
 def rivals(
     ranks: NDArray[np.int64], limit: int, head: int, this: int, chain: NDArray[np.int64],
-    who: NDArray[np.int64], nearest: FloatArray, entry: float, depth: float, sigma: float,
+    who: NDArray[np.int64], nearest: FloatArray, sides: FloatArray, entries: FloatArray,
+    entry: float, depth: float, sigma: float,
 ) -> tuple[float, float, float]:  # fmt: skip
     """What the other beams that a ray meets say to it.
 
@@ -529,7 +538,7 @@ def rivals(
     head, this : int
         First meeting of the ray, and the one in question.
     chain, who : (K,) int64
-    nearest : (K,) float64, metres
+    nearest, sides, entries : (K,) float64
         Of `Meetings`.
     entry, depth : float, metres
         Where the ray enters the beam, and where it returned.
@@ -553,6 +562,8 @@ def rivals(
             before = min(before, near)
             best = min(best, abs(depth - near) / sigma)
             apart = min(apart, abs(entry - near) / sigma)
+        elif other != this and sides[other] == NEAR_MISS and entries[other] < entry:
+            apart = 0.0  # the pixel is partly on what stands before
         other = chain[other]
     return before, best, apart
 

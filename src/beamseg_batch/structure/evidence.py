@@ -113,7 +113,7 @@ class EvidenceStructure:
         self._radii = config.filtering.radii
         self._measurements = measurements
         self._pixels = PixelRays()
-        self._camera = Camera(config.filtering, noise, self._pixels)
+        self._camera = Camera(config.filtering, noise, self._pixels, jitter)
         self._candidates = Candidates(self._camera.sigma)
         self._fewest = config.structure.min_scans  # sightings of a candidate
         self._beams: list[Beam] | None = None
@@ -221,7 +221,7 @@ class EvidenceStructure:
             return True
         wanted = self.config.refinement.radii and len(radii) > 1
         if wanted and self._trial is None and self._beams:
-            self._trial = RadiusTrial(self._beams, self._radii)
+            self._trial = RadiusTrial(self._beams, self._radii, self._scans_alike())
             return True
         return self._have_new_classes()
 

@@ -21,7 +21,7 @@ from beamseg_batch.cylinder.meeting_kernels import Cylinders, Meetings, View
 from beamseg_batch.cylinder.ray_kernels import on_cylinders
 from beamseg_batch.foreground import thin_foreground
 from beamseg_batch.geometry import FloatArray
-from beamseg_batch.model import DepthNoise, Scan
+from beamseg_batch.model import DepthNoise, PoseJitter, Scan
 from beamseg_batch.structure.hypothesis import Answer, Beam, Sums
 from beamseg_batch.structure.pixel_rays import PixelRays, every
 
@@ -35,6 +35,8 @@ __all__ = [
     "Leftovers",
 ]
 
+_NO_JITTER = PoseJitter()
+
 END_PLACES: FloatArray = np.arange(-20.0, 21.0) * 0.002
 """Where an end may be, metres from where it was."""
 
@@ -42,6 +44,7 @@ _RANGE_M = 3.0  # where a return that no beam explains may lie, for its likeliho
 _TYPICAL_DEPTH_M = 1.0
 _EXPLAINED_SIGMAS = 3.5
 _BLURRED_PIXELS = 0.75
+_WIDTH = np.sqrt(12.0)  # of an even distribution, in its standard deviations
 _ASKED_BEYOND_M = 0.5  # more than the margin beyond a beam's ends that is asked about
 _ENOUGH_PIXELS = 8000
 
@@ -54,9 +57,17 @@ class Camera:
     filtering : FilteringConfig
     noise : DepthNoise
     pixels : PixelRays
+    jitter : PoseJitter, optional
+        Of the poses of the scans.
     """
 
-    def __init__(self, filtering: FilteringConfig, noise: DepthNoise, pixels: PixelRays) -> None:
+    def __init__(
+        self,
+        filtering: FilteringConfig,
+        noise: DepthNoise,
+        pixels: PixelRays,
+        jitter: PoseJitter = _NO_JITTER,
+    ) -> None:
         window = filtering.window
         self.low, self.high = np.array([window.x, window.y, window.z]).T.copy()
         trimmed = filtering.floor_trim != "none"
@@ -64,6 +75,8 @@ class Camera:
         self.noise, self.pixels = noise, pixels
         self.thin = filtering.foreground == "thin"
         self.thickest = max(filtering.radii)
+        shaken = np.hypot(jitter.left_attitude, jitter.left_position / _TYPICAL_DEPTH_M)
+        self.shake = float(shaken) if jitter.memory_s > 0.0 else 0.0
 
     @property
     def sigma(self) -> float:
@@ -98,11 +111,14 @@ class Camera:
         if len(rays) < len(points):
             points, footprint = every(points, scan.width, stride), footprint / stride
             points.flags.writeable = False  # as all points of a recording
+        # What is left of the jitter smears a surface over the scans as a pixel does over its own
+        # width. Without that, outlines count, which are smeared the other way.
+        smeared = float(np.hypot(footprint, _WIDTH * self.shake)) if footprint else 0.0
         pose = scan.T_world_sensor
         return View(
             points, rays, width, image, self.noise.constant, self.noise.relative,
             self.low, self.high, pose.rotation[2].copy(), float(pose.translation[2]), self.floor,
-            _BLURRED_PIXELS * footprint, footprint,
+            _BLURRED_PIXELS * footprint, smeared,
         )  # fmt: skip
 
 

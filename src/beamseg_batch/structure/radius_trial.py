@@ -22,10 +22,14 @@ class RadiusTrial:
     ----------
     beams : sequence of Beam
     radii : sequence of float, metres
+    scans_alike : float, optional
+        Number of successive scans that share an error of their poses.
     """
 
-    def __init__(self, beams: Sequence[Beam], radii: Sequence[float]) -> None:
-        self._beams = list(beams)
+    def __init__(
+        self, beams: Sequence[Beam], radii: Sequence[float], scans_alike: float = 1.0
+    ) -> None:
+        self._beams, self._scans_alike = list(beams), scans_alike
         self._waiting = list(radii)
         self._found: list[list[Beam]] = []
         self._present: list[Beam] = []
@@ -56,7 +60,7 @@ class RadiusTrial:
         self._rounds += 1
         if self._rounds < _ROUNDS:
             self._present = [
-                refit(beam, index, beam.first, beam.last, sums)
+                refit(beam, index, beam.first, beam.last, sums, scans_alike=self._scans_alike)
                 for index, beam in enumerate(self._present)
             ]
             return False

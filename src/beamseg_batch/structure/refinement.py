@@ -46,7 +46,8 @@ _CLASS_SIGMAS = 2.0
 _LEAST_KINK = 20.0  # by which squared residuals must fall, for two axes instead of a bent one
 _OWN_SCANS = 5  # scans' worth of trust in rays that are independent
 # Of Tukey's weight w at 4 sigmas, for normal residuals e: mean of d(w e)/de and of (w e)**2,
-# both over the mean of w, which the normal equations hold.
+# both over the mean of w, which the normal equations hold. So a step of these goes only the
+# first share of the way: an axis gets there pass by pass; what is measured off it, at once.
 _SLOPE, _SQUARE = 0.771, 0.579
 _STRAIGHT, _BENT = [0, 1, 2, 3], [0, 1, 2, 3, 5, 6]  # of the normal equations of an arc
 
@@ -339,17 +340,15 @@ def refit(
     return replace(
         moved,
         bow=bent if may_bend else moved.bow,
-        measured_bow=bent,
+        measured_bow=bent if may_bend or beam.is_bent else bent / _SLOPE,
         sigma_bow=_deviation(free[4:], spread[4:, 4:], known=may_bend),
     )
 
 
 def _deviation(bow: FloatArray, covariance: FloatArray, *, known: bool) -> float:
-    """Deviation of a bow: along it, where it is known which way it is, else the largest."""
-    if not np.isfinite(covariance).all():
-        return float("nan")
-    along = bow @ covariance @ bow / (bow @ bow) if known else np.linalg.norm(covariance, 2)
-    return float(np.sqrt(along))
+    """Deviation of a bow: along it, where it is known which way it is, else in both."""
+    along = bow @ covariance @ bow / (bow @ bow) if known else np.trace(covariance)
+    return float(np.sqrt(along)) if along > 0.0 else float("nan")
 
 
 def _class_of(radius: float, known: Mapping[str, Any], radii: Sequence[float]) -> float:
@@ -413,7 +412,7 @@ def _uncertainty(
     found: dict[str, Any] = {"covariance": frame @ spread[:4, :4] @ frame.T}
     whole, spread = _solved(matrix, right, scatter, [*axis, 4], scans_alike)
     if np.isfinite(spread).all():
-        found["free_radius"] = float(beam.radius + whole[-1])
+        found["free_radius"] = float(beam.radius + whole[-1] / _SLOPE)
         found["sigma_radius"] = float(np.sqrt(spread[-1, -1]))
     return found
 

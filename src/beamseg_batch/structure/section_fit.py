@@ -14,7 +14,7 @@ from beamseg_batch.cylinder.section_kernels import (
     normal_equations,
     ray_costs,
 )
-from beamseg_batch.geometry import FloatArray
+from beamseg_batch.geometry import FloatArray, parabola
 from beamseg_batch.section import SHAPES, Section, Shape
 
 __all__ = [
@@ -28,6 +28,7 @@ __all__ = [
     "fit_standard",
     "is_richer",
     "lead",
+    "section_bow",
 ]
 
 _COARSE_RAYS = 700
@@ -40,6 +41,8 @@ _RADIANS_A_M = 6.0  # turn that moves the edges of a section about as far
 _SLOPES_A_M = 2.0
 _GATE = 3.0
 _NO_CHANCE_SIGMAS = 5.0
+_DRAWS = 16
+_WAYS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 _SYMMETRY = {"round": 1, "square": 4, "i": 2, "l": 1, "c": 1}
 """Turns of a circle that look alike, the sizes exchanged for a square."""
 
@@ -391,3 +394,61 @@ def axis_covariance(fit: SectionFit, rays: FloatArray) -> FloatArray:
     free = inverse @ (scores.T @ scores) @ inverse
     covariance: FloatArray = slopes @ free @ slopes.T
     return covariance
+
+
+def section_bow(
+    fit: SectionFit, rays: FloatArray, reach: float, worst: float, first: float, last: float
+) -> tuple[FloatArray, float]:
+    """How far a beam of a known section is bent.
+
+    Parameters
+    ----------
+    fit : SectionFit
+        With a straight axis.
+    rays : (N, 10) float64
+        That it was fitted to.
+    reach, worst
+        As of `fit_sections`.
+    first, last : float, metres
+        Ends of the beam.
+
+    Returns
+    -------
+    bow : (2,) float64, metres
+        Along the beam's normals.
+    sigma : float, metres
+        Its standard deviation, by the bootstrap over scans (Efron 1979).
+    """
+    numbers, groups = np.unique(rays[:, 7], return_inverse=True)
+    random, count = np.random.default_rng(0), len(numbers)
+    drawn = (np.bincount(random.integers(count, size=count), minlength=count)
+             for _ in range(_DRAWS))  # fmt: skip
+    samples = [np.repeat(rays, often[groups], axis=0) for often in drawn]
+    bow, *others = (_bow(fit, each, reach, worst, first, last) for each in (rays, *samples))
+    spread = np.var(others, axis=0, ddof=1).sum() + 2.0 * _LAST_STEP_M**2 / 3.0
+    return bow, float(np.sqrt(spread))
+
+
+def _bow(
+    fit: SectionFit, rays: FloatArray, reach: float, worst: float, first: float, last: float
+) -> FloatArray:
+    """Find the bow that explains the rays best, step by step."""
+    off, costs = parabola(rays[:, 5], first, last)[0], np.empty(len(rays))
+    off -= off.mean()  # the axis went through the middle of a bow
+
+    def cost(bow: FloatArray) -> float:
+        seen = rays.copy()  # a beam further aside is one that is passed less far aside
+        seen[:, 2] -= off * (bow[1] * rays[:, 0] - bow[0] * rays[:, 1])
+        seen[:, 3] -= off * (bow[0] * rays[:, 0] + bow[1] * rays[:, 1])
+        return float(ray_costs(SHAPES.index(fit.shape), fit.p, seen, reach, worst, costs))
+
+    bow, step = np.zeros(2), 2.0 * _ROUGH_STEP_M
+    best = cost(bow)
+    while step > _LAST_STEP_M:
+        tried = [bow + step * way for way in _WAYS]
+        found = [cost(each) for each in tried]
+        if min(found) < best:
+            best, bow = min(found), tried[int(np.argmin(found))]
+        else:
+            step *= 0.5
+    return bow

@@ -68,9 +68,11 @@ class SectionRefit:
         if fit is None:
             return beam
         ended = self._with_ends(beam, fit, rays)
-        fit = self._fitted(ended, fit.p, rays) or fit
-        cross = beam.cross_section
-        moved = placed(beam, fit, rays, cross.name, cross.confidence)
+        again = self._fitted(ended, fit.p, rays)
+        cross, inside = beam.cross_section, _inside(ended if again else beam, rays)
+        moved = placed(
+            beam, again or fit, inside, self.reach, self.worst, cross.name, cross.confidence
+        )
         return replace(
             moved.between(ended.first, ended.last),
             sigma_ends=ended.sigma_ends,
@@ -79,8 +81,7 @@ class SectionRefit:
 
     def _fitted(self, beam: Beam, p: FloatArray, rays: FloatArray) -> SectionFit | None:
         """Fit the section to the rays between the ends."""
-        first, last = beam.first + END_MARGIN_M, beam.last - END_MARGIN_M
-        inside = rays[(rays[:, 5] > first) & (rays[:, 5] < last)]
+        inside = _inside(beam, rays)
         size = beam.cross_section.size
         if size is None or len(inside) < _FEWEST_RAYS:
             return None
@@ -116,6 +117,12 @@ class SectionRefit:
                 costs = costs_with_ends(fit, *ends, rays, self.reach, self.worst)
                 likelihood[:, 0, which, place] = -np.bincount(parts, costs, _GROUPS)
         return likelihood
+
+
+def _inside(beam: Beam, rays: FloatArray) -> FloatArray:
+    """Rays that pass a beam between its ends."""
+    first, last = beam.first + END_MARGIN_M, beam.last - END_MARGIN_M
+    return rays[(rays[:, 5] > first) & (rays[:, 5] < last)]
 
 
 def _between(beam: Beam, first: float, last: float) -> Beam:

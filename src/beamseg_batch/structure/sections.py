@@ -21,6 +21,7 @@ from beamseg_batch.structure.section_fit import (
     fit_standard,
     is_richer,
     lead,
+    section_bow,
 )
 
 __all__ = ["SectionTrial", "placed", "warm_up_sections", "without_parts"]
@@ -108,7 +109,7 @@ class SectionTrial:
         if not clear or not whole or best.cost > _WORST_A_HIT * hits:
             return _as(beam, CrossSection(shape="unknown", confidence=confidence))
         name, best = self._standard(best, rays)
-        return placed(beam, best, rays, name, confidence)
+        return placed(beam, best, rays, self.reach, self.worst, name, confidence)
 
     def _is_whole(self, fit: SectionFit) -> bool:
         """Whether all of a section lies where rays were collected; boards and walls go on."""
@@ -177,7 +178,15 @@ def _as(beam: Beam, cross_section: CrossSection) -> Beam:
     return replace(beam, cross_section=cross_section)
 
 
-def placed(beam: Beam, fit: SectionFit, rays: FloatArray, name: str, confidence: float) -> Beam:
+def placed(
+    beam: Beam,
+    fit: SectionFit,
+    rays: FloatArray,
+    reach: float,
+    worst: float,
+    name: str,
+    confidence: float,
+) -> Beam:
     """Put the beam's axis through the centre of area of its section.
 
     Parameters
@@ -186,6 +195,8 @@ def placed(beam: Beam, fit: SectionFit, rays: FloatArray, name: str, confidence:
     fit : SectionFit
     rays : (N, 10) float64
         That it was fitted to.
+    reach, worst : float
+        As of `SectionTrial`.
     name : str
         Of the standard size; empty for none.
     confidence : float
@@ -202,12 +213,15 @@ def placed(beam: Beam, fit: SectionFit, rays: FloatArray, name: str, confidence:
     across -= (across @ direction) * direction
     frame = np.zeros((6, 4))
     frame[:3, 0], frame[:3, 1], frame[3:, 2], frame[3:, 3] = u, v, u, v
+    bow, sigma_bow = section_bow(fit, rays, reach, worst, beam.first, beam.last)
     found = CrossSection(fit.shape, fit.section, across / np.linalg.norm(across), name, confidence)
     return replace(
         beam,
         anchor=beam.anchor + centre[0] * u + centre[1] * v,
         direction=direction,
         covariance=frame @ (axis_covariance(fit, rays) + _details(rays)) @ frame.T,
+        measured_bow=bow[0] * u + bow[1] * v,
+        sigma_bow=sigma_bow,
         free_radius=np.nan,
         sigma_radius=np.nan,
         cross_section=found,
