@@ -14,6 +14,8 @@ A circle has its centre between the edges, and the mean of both widths as its di
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,6 +32,8 @@ __all__ = [
     "ray_costs",
 ]
 
+Numbers: TypeAlias = tuple[float, ...]
+
 PARAMETERS = 9
 ROUND, TUBE, I_SHAPE, ANGLE, CHANNEL = 0, 1, 2, 3, 4
 """Numbers of the shapes, in the order of `beamseg_batch.section.SHAPES`."""
@@ -39,6 +43,21 @@ _LEAST_PLATE, _MOST_PLATE = 0.003, 0.025
 _MOST_SHARE = 0.3  # of a section that a plate's thickness may be
 _MOST_SLOPE = 0.12
 _GRAZING = 0.25  # sine of the angle below which a surface may send nothing back
+
+
+@kernel
+def _as_numbers(p: FloatArray) -> Numbers:
+    """Parameters as numbers: holders of an array are counted wherever it is handed on."""
+    return p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8]
+
+
+@kernel
+def _ray_of(rays: FloatArray, k: int) -> Numbers:
+    """One ray as numbers."""
+    return (
+        rays[k, 0], rays[k, 1], rays[k, 2], rays[k, 3], rays[k, 4],
+        rays[k, 5], rays[k, 6], rays[k, 7], rays[k, 8], rays[k, 9],
+    )  # fmt: skip
 
 
 @kernel
@@ -69,14 +88,14 @@ def _enter_box(
 
 @kernel
 def enter_section(
-    shape: int, p: FloatArray, x: float, y: float, dx: float, dy: float, begin: float
+    shape: int, p: FloatArray | Numbers, x: float, y: float, dx: float, dy: float, begin: float
 ) -> tuple[float, float]:
     """Where a line in the section's own frame enters it, or is in it when it begins.
 
     Parameters
     ----------
     shape : int
-    p : (9,) float64
+    p : (9,) float64, or as many numbers
     x, y, dx, dy : float
         A point of the line, metres, and its unit direction.
     begin : float, metres
@@ -120,7 +139,7 @@ def enter_section(
 
 @kernel
 def _depth(
-    shape: int, p: FloatArray, cos: float, sin: float, ray: FloatArray, aside: float,
+    shape: int, p: Numbers, cos: float, sin: float, ray: Numbers, aside: float,
     begin: float, stop: float,
 ) -> tuple[float, float]:  # fmt: skip
     """How far behind the point nearest to the beam's axis a ray enters the section."""
@@ -141,7 +160,7 @@ def _depth(
 
 @kernel
 def _ray_cost(
-    shape: int, p: FloatArray, cos: float, sin: float, ray: FloatArray, reach: float, worst: float,
+    shape: int, p: Numbers, cos: float, sin: float, ray: Numbers, reach: float, worst: float,
     begin: float, stop: float,
 ) -> float:  # fmt: skip
     """Cost of a ray: half its squared residual, at most that of what is not explained."""
@@ -194,14 +213,16 @@ def ray_costs(
         The sum.
     """
     cos, sin, total = np.cos(p[4]), np.sin(p[4]), 0.0
+    numbers = _as_numbers(p)
     for k in range(len(rays)):
-        costs[k] = _ray_cost(shape, p, cos, sin, rays[k], reach, worst, -np.inf, np.inf)
+        ray = _ray_of(rays, k)
+        costs[k] = _ray_cost(shape, numbers, cos, sin, ray, reach, worst, -np.inf, np.inf)
         total += costs[k]
     return total
 
 
 @kernel
-def _between(ray: FloatArray, first: float, last: float) -> tuple[float, float]:
+def _between(ray: Numbers, first: float, last: float) -> tuple[float, float]:
     """How far behind the point nearest to the axis a ray is on a stretch of it: from, to."""
     s, rise = ray[5], ray[9]
     if rise == 0.0:
@@ -236,9 +257,11 @@ def ended_costs(
         Filled.
     """
     cos, sin = np.cos(p[4]), np.sin(p[4])
+    numbers = _as_numbers(p)
     for k in range(len(rays)):
-        begin, stop = _between(rays[k], first, last)
-        costs[k] = _ray_cost(shape, p, cos, sin, rays[k], reach, worst, begin, stop)
+        ray = _ray_of(rays, k)
+        begin, stop = _between(ray, first, last)
+        costs[k] = _ray_cost(shape, numbers, cos, sin, ray, reach, worst, begin, stop)
 
 
 @kernel
@@ -340,9 +363,10 @@ def normal_equations(
     cos, sin = np.cos(p[4]), np.sin(p[4])
     count = len(moves)
     slopes, trial = np.empty(count), np.empty(len(p))
+    given = _as_numbers(p)
     for k in range(len(rays)):
-        ray = rays[k]
-        depth, _ = _depth(shape, p, cos, sin, ray, 0.0, -np.inf, np.inf)
+        ray = _ray_of(rays, k)
+        depth, _ = _depth(shape, given, cos, sin, ray, 0.0, -np.inf, np.inf)
         if depth == np.inf or abs(ray[3] - depth) >= gate * ray[4]:
             continue
         residual = (ray[3] - depth) / ray[4]
@@ -352,7 +376,9 @@ def normal_equations(
                 for n in range(len(p)):
                     trial[n] = p[n] + sign * small * moves[i, n]
                 turned = np.cos(trial[4]), np.sin(trial[4])
-                moved, _ = _depth(shape, trial, turned[0], turned[1], ray, 0.0, -np.inf, np.inf)
+                moved, _ = _depth(
+                    shape, _as_numbers(trial), turned[0], turned[1], ray, 0.0, -np.inf, np.inf
+                )
                 ahead, behind = (moved, behind) if sign > 0.0 else (ahead, moved)
             # An edge that moves past a ray changes its depth at a stroke.
             smooth = max(ahead, behind) < np.inf and abs(ahead - behind) < 8.0 * small
