@@ -178,9 +178,10 @@ def test_row_pitch__is_the_angle_between_neighbours(run):
     rows = scan.points.reshape(SIZE, SIZE, 3).astype(np.float64)
     rays = rows / np.linalg.norm(rows, axis=2)[..., None]
     steps = np.linalg.norm(np.diff(rays, axis=1), axis=2)
-    assert run(rows) == pytest.approx(np.nanmedian(steps))
+    assert run(rows, 1) == pytest.approx(np.nanmedian(steps))
+    assert run(rows, 3) == pytest.approx(np.nanmedian(steps[::3]))
     rows[:, ::2] = np.nan
-    assert np.isnan(run(rows))
+    assert np.isnan(run(rows, 1))
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])

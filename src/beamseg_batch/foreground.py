@@ -85,7 +85,7 @@ def _free(
         return np.ones(len(scan.points), np.bool_)
     shape = (scan.height, scan.width)
     points = scan.points.reshape(*shape, 3)
-    pitch = row_pitch(points[:: max(len(points) // _PITCH_ROWS, 1)])
+    pitch = row_pitch(points, max(len(points) // _PITCH_ROWS, 1))
     if not pitch > 0.0:
         return np.ones(len(scan.points), np.bool_)
     pose = scan.T_world_sensor

@@ -90,27 +90,29 @@ def free_pixels(
 
 
 @kernel
-def row_pitch(rows: NDArray[np.floating]) -> float:
+def row_pitch(points: NDArray[np.floating], every: int) -> float:
     """Angle from a pixel to the next along a row, the median of some rows.
 
     Parameters
     ----------
-    rows : (H, W, 3) float32 or float64, metres
+    points : (H, W, 3) float32 or float64, metres
         Not finite where nothing returned.
+    every : int
+        Every so manieth row is asked.
 
     Returns
     -------
     float, radians
         NaN if no two neighbours returned.
     """
-    squares = np.empty(rows.shape[0] * rows.shape[1])
+    squares = np.empty(points.shape[0] * points.shape[1])
     count = 0
-    for row in range(rows.shape[0]):
+    for row in range(0, points.shape[0], every):
         before = np.full(3, np.nan)
-        for column in range(rows.shape[1]):
-            x = np.float64(rows[row, column, 0])
-            y = np.float64(rows[row, column, 1])
-            z = np.float64(rows[row, column, 2])
+        for column in range(points.shape[1]):
+            x = np.float64(points[row, column, 0])
+            y = np.float64(points[row, column, 1])
+            z = np.float64(points[row, column, 2])
             length = np.sqrt(x * x + y * y + z * z)
             x, y, z = x / length, y / length, z / length
             squared = (x - before[0]) ** 2 + (y - before[1]) ** 2 + (z - before[2]) ** 2
