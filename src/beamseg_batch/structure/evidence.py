@@ -44,8 +44,9 @@ from beamseg_batch.structure.sections import SectionTrial, without_parts
 __all__ = ["EvidenceStructure"]
 
 _NO_JITTER = PoseJitter()
-_SETTLED_M = 0.005
-_SETTLED_ALONG_M = 0.02  # by which an end may move along its axis, if it is measured afterwards
+_SETTLED_ACROSS_M = 0.001
+_SETTLED_ALONG_M = 0.005
+_MEASURED_ALONG_M = 0.02  # by which an end may move along its axis, if it is measured afterwards
 _MOST_SEARCHES = 3
 _FINE_MEASUREMENTS = 4  # the last ones, in which only beams count that know their radius well
 _EXACT_M = 1e-4
@@ -212,7 +213,7 @@ class EvidenceStructure:
             asked=1.0 / self._stride**2,
         )  # fmt: skip
         self._put_aside(beams, self._beams)
-        along = _SETTLED_ALONG_M if self.config.refinement.ends else _SETTLED_M
+        along = _MEASURED_ALONG_M if self.config.refinement.ends else _SETTLED_ALONG_M
         if self._waiting or self.wants_leftovers or _have_moved(beams, self._beams, along):
             return True
         if not self._closely and self._camera.stride > 1:
@@ -420,19 +421,25 @@ def _same(radii: Sequence[float], others: Sequence[float]) -> bool:
 
 
 def _have_moved(before: Sequence[Beam], after: Sequence[Beam], most_along: float) -> bool:
-    """Whether beams came, went, or have an end that moved."""
+    """Whether beams came, went, or moved: by their ends and the middle of their axis."""
     if len(before) != len(after):
         return True
-    ends = np.array([beam.ends for beam in before])
-    return any(_furthest(ends, beam, most_along).min() > 1.0 for beam in after)
+    places = np.array([_places(beam) for beam in before])
+    return any(_furthest(places, beam, most_along).min() > 1.0 for beam in after)
 
 
-def _furthest(ends: FloatArray, beam: Beam, most_along: float) -> FloatArray:
-    """How far a beam's ends are from those of each of some beams, in what counts as settled.
+def _places(beam: Beam) -> FloatArray:
+    """(3, 3) float64, metres: both ends of a beam, and the middle of its axis."""
+    first, last = beam.ends
+    return np.array([first, last, 0.5 * (first + last) + beam.bow])
+
+
+def _furthest(places: FloatArray, beam: Beam, most_along: float) -> FloatArray:
+    """How far a beam is from each of some others, in what counts as settled.
 
     Parameters
     ----------
-    ends : (M, 2, 3) float64, metres
+    places : (M, 3, 3) float64, metres
         Of beams whose order may be another: the least counts.
     beam : Beam
     most_along : float, metres
@@ -442,10 +449,10 @@ def _furthest(ends: FloatArray, beam: Beam, most_along: float) -> FloatArray:
     -------
     (M,) float64
     """
-    shifts = np.array(beam.ends) - ends
+    shifts = _places(beam) - places
     along = shifts @ beam.direction
     across = np.linalg.norm(shifts - along[..., None] * beam.direction, axis=2)
-    moved: FloatArray = np.maximum(np.abs(along) / most_along, across / _SETTLED_M)
+    moved: FloatArray = np.maximum(np.abs(along) / most_along, across / _SETTLED_ACROSS_M)
     return np.asarray(moved.max(axis=1))
 
 
