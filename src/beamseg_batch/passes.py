@@ -181,7 +181,12 @@ class _LeftoverSearch:
     def __call__(self, scans: list[Scan]) -> tuple[Leftovers, list[Segment], Refusals]:
         left = self.question.ask(scans)
         refusals = Refusals(keep=self.detect.config.outputs.candidates)
-        segments = self.detect.in_cloud(left.points, refusals)
+        # What stands free is searched by itself, too: surfaces hide it among all the others.
+        segments = [
+            segment
+            for points in (left.points[left.is_free], left.points)
+            for segment in self.detect.in_cloud(points, refusals)
+        ]
         refusals.move(RigidTransform.identity(), left.stamp_ns)
         return replace(left, points=left.points[:0]), segments, refusals
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import reprlib
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
@@ -74,11 +75,13 @@ def read_yaml(path: Path) -> tuple[Any, Any]:
         If the file cannot be read, is not UTF-8 or not YAML.
     """
     from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
+    from ruamel.yaml.error import ReusedAnchorWarning, YAMLError
 
     yaml = YAML(typ="safe", pure=True)
     try:
-        node = yaml.compose(path.read_text(encoding="utf-8"))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ReusedAnchorWarning)  # YAML 1.2 allows it
+            node = yaml.compose(path.read_text(encoding="utf-8"))
         return (None if node is None else yaml.constructor.construct_document(node)), node
     except OSError as error:
         raise YamlError(f"cannot be read: {error.strerror}") from error
@@ -112,13 +115,15 @@ def parse_setting(text: str, example: str) -> tuple[str, Any]:
         If it is no setting, or the value not YAML.
     """
     from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
+    from ruamel.yaml.error import ReusedAnchorWarning, YAMLError
 
     key, equals, value = text.partition("=")
     if not equals or not key.strip():
         raise ConfigError(f"{text!r} is not a setting; write KEY=VALUE, for example {example}")
     try:
-        return key.strip(), YAML(typ="safe", pure=True).load(value)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ReusedAnchorWarning)
+            return key.strip(), YAML(typ="safe", pure=True).load(value)
     except (YAMLError, ValueError, TypeError, LookupError, RecursionError) as error:
         raise ConfigError(f"{text!r}: the value is not valid YAML") from error
 

@@ -98,6 +98,7 @@ class Gathered:
         self.asked = np.zeros(len(scene.anchors), int)
         self.alone = np.zeros(len(scene.anchors), int)
         self.flanks = np.zeros((len(scene.anchors) if flanks else 0, 3, 2))
+        self.beside = np.zeros((scene.coarse_at[-1] if flanks else 0, 2, 2))
         for point, ray in zip(scene.points.astype(float), scene.rays, strict=True):
             self._ask(point, ray)
         self.scans = (self.alone >= 3).astype(int)
@@ -147,14 +148,14 @@ class Gathered:
     def _bins(self, j):
         return self.scene.fine_at[j + 1] - self.scene.fine_at[j]
 
-    def _rivals(self, j, nearest):
-        ranks, limits = self.scene.ranks, self.scene.limits
+    def _rivals(self, j, nearest, limits):
+        ranks = self.scene.ranks
         return np.array([n for o, n in nearest.items() if o != j and ranks[o] <= limits[j]])
 
     def _answer(self, j, w, depth, entry, s, nearest):
         scene, sigma = self.scene, self._sigma(w, entry)
         a, b, radius = scene.anchors[j], scene.directions[j], scene.radii[j]
-        rivals = self._rivals(j, nearest)
+        rivals = self._rivals(j, nearest, scene.limits)
         residual = (depth - entry) / sigma
         best = np.min(np.abs(depth - rivals) / sigma, initial=np.inf)
         hidden = np.any(rivals <= entry)
@@ -227,10 +228,13 @@ class Gathered:
             return
         self.asked[j] += 1
         sigma = self._sigma(w, middle)
-        explained = np.any(np.abs(depth - self._rivals(j, nearest)) <= 4 * sigma)
+        rivals = self._rivals(j, nearest, scene.excused)
+        explained = np.any(np.abs(depth - rivals) <= 4 * sigma)
         behind, reaches = depth - middle, 2 * radius + 4 * sigma
         if not explained and behind >= -reaches:
-            self.flanks[j, int(apart > 0), int(behind > reaches)] += 1
+            side, free = int(apart > 0), int(behind > reaches)
+            self.flanks[j, side, free] += 1
+            self.beside[scene.coarse_at[j] + int((s - scene.starts[j]) / COARSE), side, free] += 1
 
 
 class BentTube:

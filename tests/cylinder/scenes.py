@@ -69,6 +69,7 @@ def scene_of(beams, rng, *, size=SIZE, noise=NOISE, wall=np.inf, depths=None):
         us=frames[:, 0].copy(), vs=frames[:, 1].copy(), bows=np.zeros((len(beams), 3)), radii=radii,
         firsts=-lengths / 2, lasts=lengths / 2,
         ranks=rng.permutation(len(beams)), limits=np.full(len(beams), len(beams)),
+        excused=np.full(len(beams), len(beams)),
         starts=-lengths / 2 - MARGIN, fine_at=coarse_at * round(COARSE / FINE),
         coarse_at=coarse_at, tukey=4.0, background=5.0,
     )  # fmt: skip
@@ -88,7 +89,7 @@ def cylinders_of(scene):
     stops = scene.starts + np.diff(scene.fine_at) * FINE
     return Cylinders(
         scene.anchors, scene.directions, scene.us, scene.vs, scene.bows, scene.radii,
-        scene.firsts, scene.lasts, scene.starts, stops, scene.ranks, scene.limits,
+        scene.firsts, scene.lasts, scene.starts, stops, scene.ranks, scene.limits, scene.excused,
     )  # fmt: skip
 
 
@@ -113,6 +114,7 @@ def empty_sums(scene, *, flanks=True):
         normal=np.zeros((scene.coarse_at[-1], NORMAL_COLUMNS)),
         scans=np.zeros(count, np.int64),
         flanks=np.zeros((count if flanks else 0, 3, 2)),
+        beside=np.zeros((scene.coarse_at[-1] if flanks else 0, 2, 2)),
         scatter=np.zeros((count, 7, 7)),
         asked=np.zeros(count, np.int64),
     )

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from beamseg_batch.cylinder.evidence_kernels import FINE, _add_flanks, gather
+from beamseg_batch.cylinder.evidence_kernels import COARSE, FINE, _add_flanks, gather
 from beamseg_batch.structure.hypothesis import normal_matrix
 from tests.cylinder.naive import Gathered
 from tests.cylinder.scenes import empty_sums, gathered, recorded, scene_of, some_beams
@@ -41,6 +42,7 @@ def assert_same(sums, wanted, *, rounding=1e-9):
     np.testing.assert_array_equal(sums.asked, wanted.asked)
     np.testing.assert_array_equal(sums.scans, wanted.scans)
     np.testing.assert_array_equal(sums.flanks, wanted.flanks)
+    np.testing.assert_array_equal(sums.beside, wanted.beside)
 
 
 def assert_agrees(scene, *, flanks=True):
@@ -60,6 +62,7 @@ def test_gather__agrees_with_its_twin(seed, competitors):
     scene = random_scene(seed)
     limits = {"none": scene.ranks * 0 - 1, "likelier": scene.ranks - 1, "all": scene.limits}
     scene.limits = limits[competitors]
+    scene.excused = scene.ranks - 1
     sums = gathered(scene)
     assert sums.hits.sum() > 20
     assert sums.likelihood.min() < 0.0
@@ -267,6 +270,27 @@ def test_gather__a_wall_goes_on_beside_a_beam_and_air_does_not():
     assert walled.flanks[0, :, 0].min() > 10
 
 
+@pytest.mark.parametrize(("excused", "held_against"), [(2, False), (-1, True)])
+def test_gather__what_a_neighbour_explains_may_be_held_against_a_beam(excused, held_against):
+    both = [BEAM, ([1.0, 0.13, -0.3], [1.0, 0.13, 0.3], 0.05)]
+    scene, _ = told(both, both)
+    scene.excused = np.array([excused, 2])
+    one, other = gathered(scene).flanks
+    assert bool(one[:, 0].sum() > 10) is held_against
+    assert other[:, 0].sum() == 0
+
+
+def test_gather__tells_of_flanks_where_along_the_axis_they_are():
+    scene = random_scene(3)
+    sums = gathered(scene)
+    for j, (start, stop) in enumerate(pairwise(scene.coarse_at)):
+        np.testing.assert_array_equal(sums.beside[start:stop].sum(axis=0), sums.flanks[j, :2])
+        outside = np.ones(stop - start, np.bool_)
+        first, last = ((s - scene.starts[j]) / COARSE for s in (scene.firsts[j], scene.lasts[j]))
+        outside[int(first) : int(last) + 1] = False
+        assert not sums.beside[start:stop][outside].any()
+
+
 def test_gather__an_edge_goes_on_beside_a_beam_on_one_side_or_the_other():
     scene = random_scene(20, count=1)
     beside = np.array([[30.0, 2.0, 0.0, 40.0], [0.0, 28.0, 33.0, 3.0], [3.0, 0.0, 0.0, 9.0]])
@@ -292,8 +316,8 @@ def test_gather__a_place_that_rounds_up_to_the_end_stays_in_the_last_bin():
         us=row * [1.0, 0.0, 0.0], vs=row * [0.0, 1.0, 0.0],
         bows=np.zeros((1, 3)), radii=np.array([0.05]),
         firsts=np.array([-1.0]), lasts=np.array([0.0]), ranks=np.zeros(1, np.int64),
-        limits=np.ones(1, np.int64), starts=np.array([start]), fine_at=np.array([0, bins]),
-        coarse_at=np.array([0, bins // 5]), tukey=4.0, background=5.0,
+        limits=np.ones(1, np.int64), excused=np.ones(1, np.int64), starts=np.array([start]),
+        fine_at=np.array([0, bins]), coarse_at=np.array([0, bins // 5]), tukey=4.0, background=5.0,
     )  # fmt: skip
     hits = gathered(scene, flanks=False).hits
     assert np.flatnonzero(hits).tolist() == [bins - 1]

@@ -28,6 +28,7 @@ POSES = [
 ]
 RAIL = ((0.95, -0.4, 1.05), (1.0, 0.45, 0.95), 0.05)
 POST = ((0.8, 0.12, 0.55), (0.8, 0.12, 1.5), 0.05)
+NOTHING_LEFT = Leftovers(np.zeros((0, 3)), np.zeros(0, np.bool_), np.array([0.0, 0.1, 1.0]), 7)
 
 
 def look(pose, beams, rng, *, wall=np.inf, rows=True, stamp_ns=0):
@@ -383,9 +384,8 @@ def test_propose__adds_beams_that_are_measured_like_the_others():
     structure, scans = flown([RAIL, POST], [shortened(RAIL)], passes=3)
     seen = shortened(POST)
     on_surface = replace(seen, anchor=seen.anchor - [0.04, 0.0, 0.0])
-    left = Leftovers(np.zeros((0, 3)), np.array([0.0, 0.1, 1.0]), 7)
     assert structure.wants_leftovers
-    structure.propose([(on_surface, left)])
+    structure.propose([(on_surface, NOTHING_LEFT)])
     assert len(structure) == 2
     assert not structure.wants_leftovers
     while refine(structure, scans):
@@ -409,6 +409,37 @@ def test_question__every_step_can_be_left_out(step):
         assert not any(getattr(kind.rules, step) for kind in kinds)
         others = {"split", "drop", "merge", "cut", "snap"} - {step}
         assert all(any(getattr(kind.rules, other) for kind in kinds) for other in others)
+
+
+def test_leftovers__tell_what_stands_free():
+    structure, scans = flown([RAIL, POST], [shortened(RAIL)], passes=3, wall=1.3)
+    left = structure.leftover_question().ask(scans)
+    off_post = distances_to_line(left.points, np.array(POST[0]), np.array([0.0, 0.0, 1.0]))
+    assert 300 < left.is_free.sum() < 0.1 * len(left.points)
+    assert np.mean(off_post[left.is_free] < 0.05 + 5 * NOISE.constant) > 0.9
+    structure._camera.thin = False
+    assert structure.leftover_question().ask(scans).is_free.all()
+
+
+def test_propose__surfaces_are_no_excuse_for_one_another():
+    structure, scans = flown([RAIL, POST], [shortened(RAIL)], passes=3, wall=1.3)
+    post = between([0.76, 0.12, 0.6], [0.76, 0.12, 1.4])
+    planks = [between([1.31, y, 0.7], [1.31, y, 1.3]) for y in np.arange(-0.3, 0.35, 0.1)]
+    structure.propose([(one, NOTHING_LEFT) for one in (post, *planks)])
+    assert sum(beam.doubtful for beam in structure._hypothesis()) == 1 + len(planks)
+    for _ in range(3):
+        refine(structure, scans)
+    assert len(structure.segments()) == 2
+    assert structure.rejections().total() == len(planks)
+    assert structure._doubtful() == []
+
+
+def test_Beams__what_is_doubtful_and_was_not_asked_about_is_no_excuse():
+    rail = hypothesis_of(RAIL)
+    fresh = replace(rail, doubtful=True, score=9.0)
+    beams = questions.Beams([fresh, rail, replace(fresh, beside=0.1, score=5.0)], "all")
+    excuses = [(beams.ranks <= limit).tolist() for limit in beams.excused]
+    assert excuses == [[False, True, True]] * 3
 
 
 def test_wants_leftovers__not_where_they_are_left_out():

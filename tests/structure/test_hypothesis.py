@@ -55,9 +55,11 @@ def test_sums__have_bins_for_each_beam_and_its_margins(lengths):
     sums = Sums(beams, flanks=True)
     found = sums.evidence
     assert found.flanks.shape == (len(beams), 3, 2)
+    assert found.beside.shape == (found.coarse_at[-1], 2, 2)
     assert len(found.likelihood) == len(found.hits) == found.fine_at[-1]
     for index, one in enumerate(beams):
         likelihood, hits = sums.fine(index)
+        assert len(sums.beside(index)) == len(sums.coarse(index))
         assert len(likelihood) == len(hits) == round(COARSE / FINE) * len(sums.coarse(index))
         assert sums.place(index, 0) == pytest.approx(one.first - 0.3)
         assert one.last + 0.3 - 1e-9 <= sums.place(index, len(hits)) < one.last + 0.32 + 1e-9
@@ -65,6 +67,7 @@ def test_sums__have_bins_for_each_beam_and_its_margins(lengths):
 
 def test_sums__without_flanks_ask_for_none():
     assert Sums([beam()]).evidence.flanks.shape == (0, 3, 2)
+    assert Sums([beam()]).evidence.beside.shape == (0, 2, 2)
 
 
 @given(PLACES, PLACES)

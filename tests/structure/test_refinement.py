@@ -20,6 +20,7 @@ from beamseg_batch.structure.refinement import (
     is_likely,
     refined,
     refit,
+    share_beside,
     stands_free,
     without_collisions,
     without_duplicates,
@@ -208,6 +209,53 @@ def test_is_likely__asks_for_evidence_length_and_air(change, likely):
 )
 def test_stands_free__on_either_side(flanks, free):
     assert stands_free(replace(GOOD, flanks=np.array(flanks, np.float64))) is free
+
+
+@pytest.mark.parametrize(
+    ("flanks", "doubtful", "beside", "free"),
+    [
+        ([[50, 50], [0, 99], [0, 0]], True, 0.24, True),  # joined to something
+        ([[50, 50], [0, 99], [0, 0]], True, 0.26, False),
+        ([[50, 50], [0, 99], [0, 0]], False, 0.24, False),
+        ([[30, 70], [0, 99], [0, 0]], True, 0.26, False),
+        ([[30, 70], [0, 99], [0, 0]], False, 0.26, True),
+        ([[30, 70], [0, 99], [0, 0]], True, np.nan, True),
+        ([[0, 99], [0, 99], [31, 69]], True, 0.0, False),  # an edge
+    ],
+)
+def test_stands_free__what_is_doubtful_along_half_of_its_length(flanks, doubtful, beside, free):
+    asked = replace(GOOD, flanks=np.array(flanks, np.float64), doubtful=doubtful, beside=beside)
+    assert stands_free(asked) is free
+
+
+@pytest.mark.parametrize(
+    ("doubtful", "share", "likely"), [(False, 0.69, True), (True, 0.69, False), (True, 0.71, True)]
+)
+def test_is_likely__what_is_doubtful_must_be_as_round_as_a_beam(doubtful, share, likely):
+    assert (
+        is_likely(replace(GOOD, score=share * 4.3 * 1000.0, hits=1000.0, doubtful=doubtful))
+        is likely
+    )
+
+
+def beside(*stretches):
+    """Rays beside 10 cm each, left and right: of ten on a side so many that found something."""
+    found = np.repeat(np.reshape(stretches, (-1, 2)).astype(np.float64), 5, axis=0)
+    return np.stack([found, 10.0 - found], axis=2) / 5.0
+
+
+@pytest.mark.parametrize(
+    ("rows", "share"),
+    [
+        (beside(), np.nan),
+        (beside([0, 3], [2, 0], [10, 10]), 0.3),
+        (beside([9, 0], [0, 9], [9, 0]), 0.9),  # an edge, on one side or the other
+        (beside([10, 0], [1, 0], [0, 0], [0, 1], [0, 10]), 0.1),  # joined at both ends
+        (0.5 * beside([9, 0], [0, 9], [9, 0]), np.nan),  # too few rays to tell
+    ],
+)
+def test_share_beside__is_that_of_most_of_the_length(rows, share):
+    np.testing.assert_allclose(share_beside(rows), share)
 
 
 def test_stands_free__a_thicker_beam_than_assumed_goes_on_beside_itself():

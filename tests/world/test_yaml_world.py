@@ -315,6 +315,11 @@ def test_load_world__bad_world(tmp_path, text, message):
     assert refusal_of(tmp_path, text).startswith(f"world.yaml:{message}")
 
 
+def test_load_world__anchor_that_is_used_again(tmp_path):
+    text = "members:\n- {ends: [&p [0, 0, 1], &p [0, 0, 2]], radius: 0.05}\n"
+    assert len(scene_of(tmp_path, text).members) == 1
+
+
 def test_load_world__two_members_of_one_name(tmp_path):
     text = f"members:\n- {{{ENDS}, name: a}}\n- {{{ENDS}, name: a}}\n"
     said = refusal_of(tmp_path, text)

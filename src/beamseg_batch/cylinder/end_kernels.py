@@ -76,19 +76,9 @@ def gather_ends(
                 ab = ax * bx + ay * by + az * bz
                 sigma, side = meetings.sigma[this], meetings.side[this]
                 before, best, _ = rivals(
-                    ranks,
-                    limits[j],
-                    head[k],
-                    this,
-                    chain,
-                    who,
-                    nearest,
-                    sides,
-                    entries,
-                    entry,
-                    depth,
-                    sigma,
-                )
+                    ranks, limits[j], head[k], this, chain, who, nearest, sides, entries,
+                    entry, depth, sigma,
+                )  # fmt: skip
                 for which in range(2):
                     if not (near_last if which else near_first):
                         continue

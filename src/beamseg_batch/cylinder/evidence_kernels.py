@@ -68,6 +68,8 @@ class Evidence(NamedTuple):
         Rays that pass a beam closely on its left and right, and found something at its
         depth, or nothing; then both sides' rays, scan by scan, divided as those of the side
         that found more. Not asked for where it is empty.
+    beside : (C, 2, 2) float64
+        By coarse bin: those rays on the left and right. Empty where `flanks` is.
     scatter : (M, 7, 7) float64
         Sums over scans of the product with itself of a scan's right-hand side of the normal
         equations: how far scans, not rays, disagree. Offsets, slopes, radius, and offsets
@@ -83,6 +85,7 @@ class Evidence(NamedTuple):
     normal: FloatArray
     scans: NDArray[np.int64]
     flanks: FloatArray
+    beside: FloatArray
     scatter: FloatArray
     asked: NDArray[np.int64]
 
@@ -221,7 +224,7 @@ def gather(
     touched = meet(view, beams, meetings, len(flanks) > 0)
     points, rays, ranks, limits = view.points, view.rays, beams.ranks, beams.limits
     head, chain, who, nearest = meetings.head, meetings.chain, meetings.who, meetings.nearest
-    sides, entries = meetings.side, meetings.entry
+    sides, entries, excused = meetings.side, meetings.entry, beams.excused
     for number in range(touched):
         k = meetings.pixels[number]
         wx, wy, wz, depth = sight(points, rays, k)
@@ -229,32 +232,26 @@ def gather(
         while this >= 0:
             j, s, e = meetings.who[this], meetings.along[this], meetings.residual[this]
             side, entry, sigma = meetings.side[this], meetings.entry[this], meetings.sigma[this]
+            limit = limits[j] if abs(side) <= 1.0 else excused[j]
             before, best, apart = rivals(
-                ranks,
-                limits[j],
-                head[k],
-                this,
-                chain,
-                who,
-                nearest,
-                sides,
-                entries,
-                entry,
-                depth,
-                sigma,
-            )
+                ranks, limit, head[k], this, chain, who, nearest, sides, entries,
+                entry, depth, sigma,
+            )  # fmt: skip
             this = chain[this]
             if side == NEAR_MISS:
                 continue
             evidence.asked[j] += 1
-            radius = beams.radii[j]
+            radius, start = beams.radii[j], beams.starts[j]
+            # A place just before the end may round up to it.
+            coarse = evidence.coarse_at[j] + int((s - start) / COARSE)
+            coarse = min(coarse, evidence.coarse_at[j + 1] - 1)
             if abs(side) > 1.0:
                 reaches = 2.0 * radius / sigma + GATE
                 if best > GATE and e >= -reaches:
-                    scores[j, _FITTED + 2 * int(side > 0.0) + int(e > reaches)] += 1.0
+                    right, free = int(side > 0.0), int(e > reaches)
+                    scores[j, _FITTED + 2 * right + free] += 1.0
+                    evidence.beside[coarse, right, free] += 1.0
                 continue
-            # A place just before the end may round up to it.
-            start = beams.starts[j]
             fine = evidence.fine_at[j] + int((s - start) / FINE)
             fine = min(fine, evidence.fine_at[j + 1] - 1)
             evidence.likelihood[fine] += gain(e, entry >= before, best, side, background)
@@ -283,8 +280,6 @@ def gather(
                 e -= _sunk(view.footprint, entry, wx, wy, wz, b, side, radius) / sigma
             share = min(abs(e) / tukey, 1.0)
             scale = 1.0 / (incidence * sigma)
-            coarse = evidence.coarse_at[j] + int((s - start) / COARSE)
-            coarse = min(coarse, evidence.coarse_at[j + 1] - 1)
             _weigh(
                 evidence.normal[coarse],
                 scores[j],

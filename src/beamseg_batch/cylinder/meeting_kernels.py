@@ -128,6 +128,8 @@ class Cylinders(NamedTuple):
         The stretch of each axis that is asked about.
     ranks, limits : (M,) int64
         Beam ``o`` competes with ``j`` where ``ranks[o] <= limits[j]``.
+    excused : (M,) int64
+        What ``o`` explains beside ``j`` is not held against it where ``ranks[o] <= excused[j]``.
     """
 
     anchors: FloatArray
@@ -142,6 +144,7 @@ class Cylinders(NamedTuple):
     stops: FloatArray
     ranks: NDArray[np.int64]
     limits: NDArray[np.int64]
+    excused: NDArray[np.int64]
 
 
 class Meetings(NamedTuple):
@@ -533,8 +536,9 @@ def rivals(
     Parameters
     ----------
     ranks : (M,) int64
+        Of `Cylinders`.
     limit : int
-        Of `Cylinders`; the limit is that of the beam which is met.
+        The highest rank of a beam that counts.
     head, this : int
         First meeting of the ray, and the one in question.
     chain, who : (K,) int64

@@ -22,7 +22,7 @@ from beamseg_batch.noise import DEFAULT_NOISE
 
 __all__ = ["Detector", "Refusals"]
 
-_POOLED_PCA = 0.9
+_POOLED_PCA = 0.8  # of a beam seven radii long that is seen from all sides
 
 
 class Detector:

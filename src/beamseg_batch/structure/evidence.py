@@ -282,7 +282,8 @@ class EvidenceStructure:
             stamp = left.stamp_ns
             candidates.add(replace(segment, anchor=anchor, first_seen_ns=stamp, last_seen_ns=stamp))
         if len(candidates):
-            fresh = self._fates.numbered(candidates.beams(1), "leftovers")
+            fresh = [replace(beam, doubtful=True) for beam in candidates.beams(1)]
+            fresh = self._fates.numbered(fresh, "leftovers")
             self._beams = [*self._hypothesis(), *fresh]
             self._waiting = list(_FRESH)
 
@@ -342,14 +343,18 @@ class EvidenceStructure:
         self._beams = self._fates.settled(found, left, side_by_side)
 
     def _put_aside(self, before: Sequence[Beam], after: Sequence[Beam]) -> None:
-        """Keep those of the beams that are gone for which much speaks, if not as round ones."""
+        """Keep those of the beams that are gone for which much speaks, if not as round ones.
+
+        Among all leftovers are the edges of whatever is large, and two of these make a section.
+        """
         if self.config.structure.shapes.enabled:
             least = max(self.config.structure.min_length, _LEAST_ASIDE_M)
             left = Neighbours(after)
             self._aside += [
                 beam
                 for beam in before
-                if beam.score > _LEAST_ASIDE
+                if not beam.doubtful
+                and beam.score > _LEAST_ASIDE
                 and beam.length > least
                 and not any(side_by_side(beam, left.beams[k]) for k in left.near(beam))
             ]

@@ -79,12 +79,17 @@ class Beam:
     flanks : (3, 2) float64
         Rays that pass closely on its left and right and found something at its depth, or
         nothing; then all of them, scan by scan, as on the side that found more.
+    beside : float
+        Share of those that found something, on the worse side, as the median over stretches
+        of the axis; NaN where too few passed.
     profile : (N,) float64
         Log-likelihood ratios along the axis, by fine bin, from `profile_start` on, metres.
     profile_start : float
     number : int
         Its name among the candidates, the same from pass to pass; -1 where they have none.
     cross_section : CrossSection
+    doubtful : bool
+        Whether no scan showed it, so that all rays together must show that it stands free.
     """
 
     anchor: FloatArray
@@ -110,10 +115,12 @@ class Beam:
     sigma_bow: float = np.nan
     stiff: bool = False
     flanks: FloatArray = field(default_factory=lambda: np.zeros((3, 2)))
+    beside: float = np.nan
     profile: FloatArray = field(default_factory=lambda: np.zeros(0))
     profile_start: float = 0.0
     number: int = -1
     cross_section: CrossSection = field(default_factory=CrossSection)
+    doubtful: bool = False
 
     @property
     def normals(self) -> tuple[FloatArray, FloatArray]:
@@ -245,6 +252,7 @@ class Sums:
             normal=np.zeros((coarse_at[-1], NORMAL_COLUMNS)),
             scans=np.zeros(count, np.int64),
             flanks=np.zeros((count if flanks else 0, 3, 2)),
+            beside=np.zeros((coarse_at[-1] if flanks else 0, 2, 2)),
             scatter=np.zeros((count, 7, 7)),
             asked=np.zeros(count, np.int64),
         )
@@ -267,6 +275,7 @@ class Sums:
             for at in (self.evidence.fine_at, self.evidence.coarse_at)
         )
         rows = dict.fromkeys(self._names, beams)
+        rows |= {"beside": coarse} if "flanks" in self._names else {}
         return rows | {"likelihood": fine, "hits": fine, "normal": coarse}
 
     def fine(self, index: int) -> tuple[FloatArray, FloatArray]:
@@ -277,6 +286,10 @@ class Sums:
     def coarse(self, index: int) -> FloatArray:
         """(N, 22) float64: normal equations of one beam, by coarse bin."""
         return self.evidence.normal[slice(*self.evidence.coarse_at[index : index + 2])]
+
+    def beside(self, index: int) -> FloatArray:
+        """(N, 2, 2) float64: rays that passed one beam closely, by coarse bin."""
+        return self.evidence.beside[slice(*self.evidence.coarse_at[index : index + 2])]
 
     def middles(self, index: int) -> FloatArray:
         """(N,) float64, metres: where the middles of the coarse bins of a beam are."""

@@ -134,9 +134,13 @@ class Beams:
         self.radii = np.array([beam.radius for beam in beams])
         self.firsts = np.array([beam.first for beam in beams])
         self.lasts = np.array([beam.last for beam in beams])
-        order = np.argsort([-beam.score for beam in beams], kind="stable")
+        # Doubtful ones that no ray was asked about yet.
+        fresh = np.array([beam.doubtful and np.isnan(beam.beside) for beam in beams], np.bool_)
+        order = np.lexsort((np.array([-beam.score for beam in beams]), fresh))
         self.ranks = np.empty(len(beams), np.int64)
         self.ranks[order] = np.arange(len(beams))
+        # Several of them may cover a surface, each explaining what is beside the others.
+        self.excused = np.full(len(beams), np.sum(~fresh) - 1)
         self.limits = {
             "none": np.full(len(beams), -1),
             "likelier": self.ranks - 1,
@@ -170,7 +174,7 @@ class Beams:
             (self.anchors - pose.translation) @ turn, self.directions @ turn,
             self.us @ turn, self.vs @ turn, self.bows @ turn,
             self.radii, self.firsts, self.lasts,
-            starts, stops, self.ranks, self.limits,
+            starts, stops, self.ranks, self.limits, self.excused,
         )  # fmt: skip
 
 
@@ -285,6 +289,8 @@ class Leftovers:
     Attributes
     ----------
     points : (N, 3) float64, metres, world frame
+    is_free : (N,) bool
+        Which of them stand free in their picture.
     seen_from : (3,) float64, metres, world frame
         Where the camera was, on average.
     stamp_ns : int
@@ -292,6 +298,7 @@ class Leftovers:
     """
 
     points: FloatArray
+    is_free: NDArray[np.bool_]
     seen_from: FloatArray
     stamp_ns: int
 
@@ -321,33 +328,42 @@ class LeftoverQuestion:
         -------
         Leftovers
         """
+        points, free = zip(*map(self._unexplained, scans), strict=True)
         return Leftovers(
-            np.concatenate([self._unexplained(scan) for scan in scans]),
+            np.concatenate(points),
+            np.concatenate(free),
             np.mean([scan.T_world_sensor.translation for scan in scans], axis=0),
             scans[-1].stamp_ns,
         )
 
-    def _unexplained(self, scan: Scan) -> FloatArray:
-        """Returns in the window and above the floor that lie on no beam, world frame."""
+    def _unexplained(self, scan: Scan) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Returns in the window and above the floor that lie on no beam, and which are free."""
         camera = self.camera
-        if camera.thin:
-            # What is only seen at the border of the image is seen too seldom to be found
-            # in a scan alone, so it is left here; whether it is a beam all rays decide.
-            scan = thin_foreground(
-                scan, camera.thickest, camera.high[0], camera.noise, camera.floor, beyond=True
-            )
         points = np.asarray(scan.points, np.float64)
         inside = np.all((points >= camera.low) & (points <= camera.high), axis=1)
-        world = scan.T_world_sensor.apply(points[inside])
-        world = world[world[:, 2] >= camera.floor]
+        world, free = scan.T_world_sensor.apply(points[inside]), self._free(scan)[inside]
+        high = world[:, 2] >= camera.floor
+        world, free = world[high], free[high]
         reach = _EXPLAINED_SIGMAS * camera.sigma
         beams = self._arrays.part(self._arrays.near([scan], camera.reach))
         explained = on_cylinders(
             world, beams.anchors, beams.directions, beams.firsts, beams.lasts,
             beams.bows, beams.radii, reach,
         )  # fmt: skip
-        left: FloatArray = world[~explained]
-        return left
+        return world[~explained], free[~explained]
+
+    def _free(self, scan: Scan) -> NDArray[np.bool_]:
+        """Which pixels show something thin that stands free."""
+        camera = self.camera
+        if not camera.thin:
+            return np.ones(len(scan.points), np.bool_)
+        # What is only seen at the border of the image is seen too seldom to be found
+        # in a scan alone, so it counts here; whether it is a beam all rays decide.
+        thin = thin_foreground(
+            scan, camera.thickest, camera.high[0], camera.noise, camera.floor, beyond=True
+        )
+        free: NDArray[np.bool_] = np.isfinite(thin.points[:, 0])
+        return free
 
 
 class _Scratch:

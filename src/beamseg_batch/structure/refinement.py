@@ -33,13 +33,15 @@ __all__ = ["PassRules", "refined", "side_by_side"]
 INTERVAL_COST = 50.0
 LEAST_SCORE = 300.0
 LEAST_SHARE = 0.15  # of the score that all hits would give
+CLEAR_SHARE = 0.7  # for what is doubtful
 BEST_A_HIT = 4.3
 LEAST_LENGTH = 0.18
 TRIM_A_HIT = 0.1
 SEEN_GAP = 0.005  # metres of a beam with as much evidence as a gap in it needs against it
 MOST_ATTACHED = (0.45, 0.45, 0.3)  # left, right, and by scan on either side
 THICKER = 1.15  # radii
-MOST_BESIDE_SHAPELESS = 0.25
+MOST_BESIDE = 0.25  # of what must stand apart
+_STRETCH_BINS, _FEWEST_A_STRETCH = 5, 8  # rays beside 10 cm of a beam, on a side
 MOST_OFFSET = 0.012  # of two beams that are the same
 MOST_OFFSET_BEYOND = 0.006  # of one that goes on where another ends
 _CLASS_SIGMAS = 2.0
@@ -155,8 +157,9 @@ def refusal_of(beam: Beam, asked: float = 1.0) -> Refusal | None:
     best, least = BEST_A_HIT * beam.hits, LEAST_SCORE * asked
     if beam.score < least:
         return Refusal("low_score", beam.score, least)
-    if beam.score < LEAST_SHARE * best:
-        return Refusal("low_share", beam.score / best, LEAST_SHARE)
+    share = CLEAR_SHARE if beam.doubtful else LEAST_SHARE
+    if beam.score < share * best:
+        return Refusal("low_share", beam.score / best, share)
     if beam.length < LEAST_LENGTH:
         return Refusal("evidence_too_short", beam.length, LEAST_LENGTH)
     return _attached(beam)
@@ -172,9 +175,14 @@ def _attached(beam: Beam) -> Refusal | None:
 
     Part of a wall fits a cylinder as well as the noise allows, but goes on beside it. So does
     the edge of a box, though from each place on one side alone, and a beam that is thicker
-    than it is taken for.
+    than it is taken for. A doubtful one may be joined to something, but stands clearly free
+    along half of its length.
     """
     shares = flank_shares(beam.flanks)
+    if beam.doubtful:
+        if beam.beside > MOST_BESIDE:
+            return Refusal("not_free", beam.beside, MOST_BESIDE)
+        shares[:2] = np.nan
     if beam.free_radius > THICKER * beam.radius:
         shares[2] = np.nan
     for share, most in zip(shares, MOST_ATTACHED, strict=True):
@@ -189,7 +197,7 @@ def is_apart(beam: Beam) -> bool:
     What fits neither a round beam nor any other section, and goes on beside itself, is a part
     of something larger.
     """
-    return not np.any(flank_shares(beam.flanks) > MOST_BESIDE_SHAPELESS)
+    return not np.any(flank_shares(beam.flanks) > MOST_BESIDE)
 
 
 def _denied(beam: Beam, index: int, sums: Sums, share: float) -> tuple[Beam, Refusal]:
@@ -229,18 +237,18 @@ def _renewed(
         if end <= begin:
             continue
         begin, end = first + begin, first + end
+        low, high = sums.place(index, begin), sums.place(index, end)
         part = replace(
             beam,
             score=float(likelihood[begin:end].sum()),
             hits=float(hits[begin:end].sum()),
             scans=int(evidence.scans[index]),
-            flanks=evidence.flanks[index] if len(evidence.flanks) else beam.flanks,
+            **_flanks(index, sums, low, high),
             snapped=(False, False),
             sigma_ends=np.full(2, np.nan),
             profile=likelihood,
             profile_start=float(sums.starts[index]),
         )
-        low, high = sums.place(index, begin), sums.place(index, end)
         rows = along_chord(sums.coarse(index), sums.middles(index), beam)
         place = bend(rows, sums, index, low, high, noise, bow=rules.bow) if rules.split else None
         if place is None:
@@ -249,6 +257,35 @@ def _renewed(
             beams.append((part, low, min(high, place + 0.05), False))
             beams.append((part, max(low, place - 0.05), high, False))
     return beams
+
+
+def _flanks(index: int, sums: Sums, first: float, last: float) -> dict[str, Any]:
+    """What the rays beside a stretch of an axis found, where they were asked."""
+    if not len(sums.evidence.flanks):
+        return {}
+    rows = sums.beside(index)[sums.coarse_bins(index, first, last)]
+    return {"flanks": sums.evidence.flanks[index], "beside": share_beside(rows)}
+
+
+def share_beside(rows: FloatArray) -> float:
+    """Share of the rays beside a beam that found something at its depth, along most of it.
+
+    Parameters
+    ----------
+    rows : (N, 2, 2) float64
+        By coarse bin: rays on the left and right that found something, or nothing.
+
+    Returns
+    -------
+    float
+        The median over stretches of 10 cm, each on its worse side; NaN where too few passed.
+    """
+    stretches = np.add.reduceat(rows, np.arange(0, len(rows), _STRETCH_BINS)) if len(rows) else rows
+    passed = stretches.sum(axis=2)
+    known = passed >= _FEWEST_A_STRETCH
+    worst = np.where(known, stretches[..., 0] / np.maximum(passed, 1.0), 0.0).max(axis=1)
+    worst = worst[known.any(axis=1)]
+    return float(np.median(worst)) if len(worst) else float("nan")
 
 
 def without_hidden_gaps(
