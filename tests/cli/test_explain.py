@@ -70,7 +70,7 @@ def test_explain__a_wall(ok, room):
     last = result.stdout.splitlines()[-1]
     assert last.startswith("No beam is here. What came nearest to one is candidate ")
     assert "part of a surface" in last
-    assert "at most 45% allowed" in last
+    assert "at most 25% allowed" in last
     assert last.endswith("What decides: refinement.drop.")
     assert result.stderr == ""
 
