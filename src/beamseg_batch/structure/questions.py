@@ -339,9 +339,11 @@ class LeftoverQuestion:
     def _unexplained(self, scan: Scan) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Returns in the window and above the floor that lie on no beam, and which are free."""
         camera = self.camera
-        points = np.asarray(scan.points, np.float64)
-        inside = np.all((points >= camera.low) & (points <= camera.high), axis=1)
-        world, free = scan.T_world_sensor.apply(points[inside]), self._free(scan)[inside]
+        inside = np.ones(len(scan.points), np.bool_)
+        for part, low, high in zip(scan.points.T, camera.low, camera.high, strict=True):
+            inside &= (part >= low) & (part <= high)
+        points = scan.points[inside].astype(np.float64)
+        world, free = scan.T_world_sensor.apply(points), self._free(scan)[inside]
         high = world[:, 2] >= camera.floor
         world, free = world[high], free[high]
         reach = _EXPLAINED_SIGMAS * camera.sigma
