@@ -431,7 +431,7 @@ def test_propose__surfaces_are_no_excuse_for_one_another():
         refine(structure, scans)
     assert len(structure.segments()) == 2
     assert structure.rejections().total() == len(planks)
-    assert structure._doubtful() == []
+    assert structure._still_aside() == []
 
 
 def test_Beams__what_is_doubtful_and_was_not_asked_about_is_no_excuse():

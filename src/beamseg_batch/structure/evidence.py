@@ -312,7 +312,7 @@ class EvidenceStructure:
         Once sections are known, it is about the beams that have one.
         """
         standing = self._hypothesis()
-        beams = [*standing, *self._doubtful()]
+        beams = [*standing, *self._still_aside()]
         return SectionQuestion(beams, self._camera, len(standing), again=self.has_sections)
 
     def section_trial(self) -> SectionTrial:
@@ -327,7 +327,7 @@ class EvidenceStructure:
 
     def beams_with(self, near: NearRays) -> Iterator[tuple[Beam, FloatArray]]:
         """Beams that `section_question` asked about, each with the rays near it."""
-        asked = enumerate([*self._hypothesis(), *self._doubtful()])
+        asked = enumerate([*self._hypothesis(), *self._still_aside()])
         return ((beam, near.of(index)) for index, beam in asked)
 
     def set_sections(self, beams: Sequence[Beam]) -> None:
@@ -359,7 +359,7 @@ class EvidenceStructure:
                 and not any(side_by_side(beam, left.beams[k]) for k in left.near(beam))
             ]
 
-    def _doubtful(self) -> list[Beam]:
+    def _still_aside(self) -> list[Beam]:
         """Those of them where no beam was found since, the likeliest of each place."""
         known = Neighbours(self._hypothesis())
         standing = len(known.beams)
